@@ -1,0 +1,64 @@
+"""A YARP peer from scratch: bottles and objects, ports, RPC, the name server and its clients.
+
+It speaks to YARP 3 and 4 over the carriers tcp, fast_tcp, text, text_ack and name_ser, and needs
+no YARP installation. `wire` knows the bytes, `link`, `port` and `client` the sockets.
+"""
+
+from __future__ import annotations
+
+from vertebra.yarp.bottle import (
+    Dict,
+    Float32,
+    Incomplete,
+    Int8,
+    Int16,
+    Int64,
+    Value,
+    Vocab,
+    Vocab64,
+    decode,
+    decode_prefix,
+    encode,
+)
+from vertebra.yarp.client import Reader, RpcClient
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.link import Counters, Link
+from vertebra.yarp.names import Contact, NameClient, find_name_server
+from vertebra.yarp.nameserver import NameServer
+from vertebra.yarp.port import Delivery, Incoming, OnCall, OnData, Port, Reply
+from vertebra.yarp.text import from_text, is_complete, to_text
+from vertebra.yarp.wire import PeerLimits
+
+__all__ = [
+    "Contact",
+    "Counters",
+    "Delivery",
+    "Dialect",
+    "Dict",
+    "Float32",
+    "Incoming",
+    "Incomplete",
+    "Int8",
+    "Int16",
+    "Int64",
+    "Link",
+    "NameClient",
+    "NameServer",
+    "OnCall",
+    "OnData",
+    "PeerLimits",
+    "Port",
+    "Reader",
+    "Reply",
+    "RpcClient",
+    "Value",
+    "Vocab",
+    "Vocab64",
+    "decode",
+    "decode_prefix",
+    "encode",
+    "find_name_server",
+    "from_text",
+    "is_complete",
+    "to_text",
+]
