@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, TypeAlias
@@ -47,8 +48,7 @@ Value: TypeAlias = int | float | str | bytes | Sequence["Value"]
 _UNIT_MASK: Final = 0xFF
 _INT32_RANGE: Final = range(-(2**31), 2**31)
 
-_I32 = struct.Struct("<i")
-_PAIR = struct.Struct("<ii")
+_I32: Final = struct.Struct("<i")
 
 
 class Int8(int):
@@ -199,8 +199,12 @@ def _body(values: Sequence[Value], dialect: Dialect, depth: int) -> tuple[int, b
     if depth > DEFAULT_LIMITS.max_depth:
         raise EncodeError(f"lists nest deeper than {DEFAULT_LIMITS.max_depth} levels")
     count = len(values)
-    if count > 1 and set(map(type, values)) == {float}:
+    kinds = set(map(type, values))
+    if kinds == {float}:
         return dialect.float64, struct.pack(f"<i{count}d", count, *values)
+    if kinds == {int}:
+        with suppress(struct.error):  # not all of them are int32
+            return INT32, struct.pack(f"<i{count}i", count, *values)
     elements = [_element(value, dialect, depth) for value in values]
     tags = {tag for tag, _ in elements}
     shared_tag = tags.pop() if len(tags) == 1 else 0
@@ -308,23 +312,32 @@ def _vocab64(raw: bytes) -> Vocab64:
     return Vocab64(_text(raw.rstrip(b"\0")))
 
 
-_Scalar: TypeAlias = tuple[int, str, Callable[..., Value] | None]
+@dataclass(frozen=True, slots=True)
+class _Scalar:
+    """A type of fixed size: its struct code and what carries its value (None: as struct has it)."""
+
+    code: str
+    carrier: Callable[..., Value] | None
+    one: struct.Struct
 
 
 def _scalars(dialect: Dialect) -> dict[int, _Scalar]:
-    """Return, by tag, the size, the struct code and the carrier of each value of fixed size."""
-    table: dict[int, _Scalar] = {
-        INT8: (1, "b", Int8),
-        INT16: (2, "h", Int16),
-        INT32: (4, "i", None),
-        INT64: (8, "q", Int64),
-        VOCAB32: (4, "4s", _vocab32),
-        dialect.float32: (4, "f", Float32),
-        dialect.float64: (8, "d", None),
+    """Return the types of fixed size by tag."""
+    types: dict[int | None, tuple[str, Callable[..., Value] | None]] = {
+        INT8: ("b", Int8),
+        INT16: ("h", Int16),
+        INT32: ("i", None),
+        INT64: ("q", Int64),
+        VOCAB32: ("4s", _vocab32),
+        dialect.vocab64: ("8s", _vocab64),
+        dialect.float32: ("f", Float32),
+        dialect.float64: ("d", None),
     }
-    if dialect.vocab64 is not None:
-        table[dialect.vocab64] = (8, "8s", _vocab64)
-    return table
+    return {
+        tag: _Scalar(code, carrier, struct.Struct(f"<{code}"))
+        for tag, (code, carrier) in types.items()
+        if tag is not None
+    }
 
 
 _SCALARS: Final = {dialect: _scalars(dialect) for dialect in Dialect}
@@ -345,14 +358,12 @@ class _Reader:
 
     def bottle(self, depth: int) -> list[Value]:
         """Read a bottle with its own header."""
-        self._need(4)
-        (code,) = _I32.unpack_from(self._data, self.offset)
+        code = self._word()
         if code & ~_UNIT_MASK != LIST:
             raise DecodeError(
-                f"no bottle begins at byte {self.offset}: its first word is {code:#x}, "
+                f"no bottle begins at byte {self.offset - 4}: its first word is {code:#x}, "
                 "not 0x100 to 0x1ff"
             )
-        self.offset += 4
         return self._items(code & _UNIT_MASK, depth)
 
     def _need(self, size: int) -> None:
@@ -366,13 +377,17 @@ class _Reader:
         if end > len(self._data):
             raise Incomplete(self.offset, end - len(self._data))
 
-    def _length(self, what: str) -> int:
+    def _word(self) -> int:
         self._need(4)
-        (length,) = _I32.unpack_from(self._data, self.offset)
-        if length < 0:
-            raise DecodeError(f"the {what} at byte {self.offset} is negative: {length}")
+        word: int = _I32.unpack_from(self._data, self.offset)[0]
         self.offset += 4
-        return int(length)
+        return word
+
+    def _length(self, what: str) -> int:
+        length = self._word()
+        if length < 0:
+            raise DecodeError(f"the {what} before byte {self.offset} is negative: {length}")
+        return length
 
     def _items(self, shared_tag: int, depth: int) -> list[Value]:
         """Read `count . elements` of a list whose elements all wear `shared_tag`, if not 0."""
@@ -385,35 +400,30 @@ class _Reader:
                 f"the list at byte {self.offset} announces {count} elements: the limit of a whole "
                 f"bottle is {self._limits.max_elements}"
             )
-        if shared_tag in self._scalars:
-            return self._numbers(shared_tag, count)
-        if shared_tag:
-            self._need(4 * count)
-            return [self._value(shared_tag, depth) for _ in range(count)]
-        self._need(5 * count)
-        return [self._value(self._tag(), depth) for _ in range(count)]
+        if shared_tag == 0:
+            self._need(5 * count)
+            return [self._value(self._word(), depth) for _ in range(count)]
+        scalar = self._scalars.get(shared_tag)
+        if scalar is not None:
+            return self._array(scalar, count)
+        self._need(4 * count)
+        return [self._value(shared_tag, depth) for _ in range(count)]
 
-    def _tag(self) -> int:
-        self._need(4)
-        (tag,) = _I32.unpack_from(self._data, self.offset)
-        self.offset += 4
-        return int(tag)
-
-    def _numbers(self, tag: int, count: int) -> list[Value]:
-        size, code, carrier = self._scalars[tag]
-        size *= count
+    def _array(self, scalar: _Scalar, count: int) -> list[Value]:
+        size = scalar.one.size * count
         self._need(size)
-        if code[-1] == "s":
-            cells = struct.iter_unpack(code, self._data[self.offset : self.offset + size])
-            numbers = [cell[0] for cell in cells]
+        if scalar.code.endswith("s"):
+            cells = scalar.one.iter_unpack(self._data[self.offset : self.offset + size])
+            values = [cell[0] for cell in cells]
         else:
-            numbers = list(struct.unpack_from(f"<{count}{code}", self._data, self.offset))
+            values = list(struct.unpack_from(f"<{count}{scalar.code}", self._data, self.offset))
         self.offset += size
-        return numbers if carrier is None else list(map(carrier, numbers))
+        return values if scalar.carrier is None else list(map(scalar.carrier, values))
 
     def _value(self, tag: int, depth: int) -> Value:
-        if tag in self._scalars:
-            return self._numbers(tag, 1)[0]
+        scalar = self._scalars.get(tag)
+        if scalar is not None:
+            return self._single(scalar)
         if tag == STRING:
             return _text(self._block())
         if tag == BLOB:
@@ -426,6 +436,12 @@ class _Reader:
             f"unknown type tag {tag} before byte {self.offset}: damaged, or not of the dialect "
             f"{self._dialect.name}"
         )
+
+    def _single(self, scalar: _Scalar) -> Value:
+        self._need(scalar.one.size)
+        value: Value = scalar.one.unpack_from(self._data, self.offset)[0]
+        self.offset += scalar.one.size
+        return value if scalar.carrier is None else scalar.carrier(value)
 
     def _block(self) -> Buffer:
         size = self._length("length")
