@@ -66,7 +66,17 @@ class BusyError(TransportError):
 
 
 class RemoteError(TransportError):
-    """The other side answered, and its answer is an error."""
+    """The other side answered, and its answer is an error.
+
+    Attributes:
+        kind: Name of the error's class over there, for example `CommandRefusedError`.
+        detail: Its text.
+    """
+
+    def __init__(self, kind: str, detail: str) -> None:
+        super().__init__(f"{kind}: {detail}")
+        self.kind = kind
+        self.detail = detail
 
 
 class CodecError(VertebraError, ValueError):

@@ -1,0 +1,40 @@
+"""The backbone: Zenoh, and its twin in memory, behind one interface."""
+
+from vertebra.bus.interface import (
+    Bus,
+    BusInfo,
+    Closeable,
+    Delivery,
+    Gatherable,
+    Handler,
+    Payload,
+    PresenceEvent,
+    Priority,
+    Publisher,
+    Reply,
+    Request,
+)
+from vertebra.bus.memory_bus import MemoryBus, MemoryNetwork
+from vertebra.bus.subscription import Sample, Subscription
+from vertebra.bus.zenoh_bus import DEFAULT_ROUTER, ZenohBus
+
+__all__ = [
+    "DEFAULT_ROUTER",
+    "Bus",
+    "BusInfo",
+    "Closeable",
+    "Delivery",
+    "Gatherable",
+    "Handler",
+    "MemoryBus",
+    "MemoryNetwork",
+    "Payload",
+    "PresenceEvent",
+    "Priority",
+    "Publisher",
+    "Reply",
+    "Request",
+    "Sample",
+    "Subscription",
+    "ZenohBus",
+]

@@ -1,0 +1,457 @@
+"""The backbone on Eclipse Zenoh; the only module that imports `zenoh`.
+
+A session is a client of the router: it comes back by itself when the router does. Zenoh's
+callbacks run in its own threads and hand over to bounded buffers at once.
+
+Shared memory: Zenoh locks its segments, which a memory-lock limit may forbid (`OS error 12`), in
+part as a Rust panic in the middle of a later `put`. So a pool is probed once, from large to small,
+Zenoh's own use of shared memory for plain payloads stays off, and without a pool everything goes
+by copy. `BusInfo.shared_memory` says which.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import struct
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from typing import Final
+
+import zenoh
+import zenoh.shm
+
+from vertebra.bus.calls import ERROR_ENCODING, Server, decode_failure, encode_failure
+from vertebra.bus.interface import (
+    PRESENCE_DELIVERY,
+    BusInfo,
+    Closeable,
+    Delivery,
+    Handler,
+    Payload,
+    PresenceEvent,
+    Priority,
+    Reply,
+    Request,
+)
+from vertebra.bus.subscription import Sample, Subscription
+from vertebra.errors import ConfigError, DeadlineError, NotConnectedError, RemoteError
+from vertebra.keys import check_key, check_key_expression
+
+log = logging.getLogger(__name__)
+
+DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
+SHARED_MEMORY_THRESHOLD_BYTES: Final = 16 << 10
+"""Payloads from this size on go through shared memory."""
+_POOL_BYTES: Final = (32 << 20, 16 << 20, 6 << 20, 3 << 20)
+_CHUNK_BYTES: Final = 256 << 10
+_ATTACHMENT: Final = struct.Struct("<8sQq")  # publisher, its sequence number, sent_ns
+_OPEN_ATTEMPT_MS: Final = 1000
+
+_PRIORITIES: Final = {
+    Priority.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
+    Priority.DATA: zenoh.Priority.DATA,
+    Priority.BULK: zenoh.Priority.DATA_LOW,
+}
+
+
+class _SharedMemory:
+    """A pool for large payloads, if this machine allows one."""
+
+    def __init__(self, *, enabled: bool) -> None:
+        self.misses = 0
+        self._pool: zenoh.shm.ShmProvider | None = None
+        self.description = "off: switched off by the settings"
+        if enabled:
+            self._probe()
+
+    def _probe(self) -> None:
+        for nbytes in _POOL_BYTES:
+            try:
+                self._pool = zenoh.shm.ShmProvider.default_backend(nbytes)
+            except BaseException as error:  # a Rust panic is no Exception
+                if isinstance(error, KeyboardInterrupt | SystemExit):
+                    raise
+                self.description = (
+                    f"off: no segment of {nbytes >> 20} MiB can be locked ({error}); raise the "
+                    "memory-lock limit (ulimit -l, or ulimits.memlock in compose)"
+                )
+            else:
+                self.description = f"on: a pool of {nbytes >> 20} MiB"
+                return
+
+    @property
+    def available(self) -> bool:
+        return self._pool is not None
+
+    def hold(self, payload: Payload, nbytes: int) -> zenoh.shm.ZShmMut | None:
+        """Return a segment with a copy of `payload`, or None if the pool is full now."""
+        pool = self._pool
+        if pool is None:
+            return None
+        try:
+            segment = pool.alloc(nbytes)
+        except zenoh.ZError:
+            pool.garbage_collect()
+            try:
+                segment = pool.alloc(nbytes)
+            except zenoh.ZError:
+                self.misses += 1
+                return None
+        position = 0
+        for part in (payload,) if isinstance(payload, bytes) else payload.parts():
+            # The binding takes only bytes: memory views go in cache-sized pieces.
+            step = len(part) if isinstance(part, bytes) else _CHUNK_BYTES
+            for start in range(0, len(part), max(step, 1)):
+                piece = bytes(part[start : start + step])
+                segment[position : position + len(piece)] = piece
+                position += len(piece)
+        return segment
+
+
+class _Publisher:
+    def __init__(self, bus: ZenohBus, publisher: zenoh.Publisher, key: str) -> None:
+        self.key = key
+        self._bus = bus
+        self._publisher = publisher
+        self._identity = bus.next_publisher_identity()
+        self._sequence = 0
+
+    def put(self, payload: Payload, *, encoding: str | None = None) -> None:
+        self._bus.check_open()
+        attachment = _ATTACHMENT.pack(self._identity, self._sequence, time.time_ns())
+        self._sequence += 1
+        nbytes = len(payload) if isinstance(payload, bytes) else payload.nbytes
+        body: bytes | zenoh.shm.ZShmMut | None = None
+        if nbytes >= SHARED_MEMORY_THRESHOLD_BYTES:
+            body = self._bus.shared_memory.hold(payload, nbytes)
+        if body is None:
+            body = payload if isinstance(payload, bytes) else b"".join(payload.parts())
+        self._publisher.put(body, encoding=encoding, attachment=attachment)
+
+    def close(self) -> None:
+        if self._bus.forget(self):
+            self._publisher.undeclare()
+
+
+class _Declared:
+    """Anything that Zenoh can undeclare, with what else has to end."""
+
+    def __init__(self, bus: ZenohBus, undeclare: Callable[[], None]) -> None:
+        self._bus = bus
+        self._undeclare = undeclare
+
+    def close(self) -> None:
+        if self._bus.forget(self):
+            self._undeclare()
+
+
+class ZenohBus:
+    """A `Bus` on a Zenoh session. Make one with `await ZenohBus.open(...)`."""
+
+    def __init__(self, session: zenoh.Session, shared_memory: _SharedMemory) -> None:
+        self.shared_memory = shared_memory
+        self._session = session
+        self._declared: set[Closeable] = set()
+        self._publishers = 0
+        self._closed = False
+
+    @classmethod
+    async def open(
+        cls,
+        router: str = DEFAULT_ROUTER,
+        *,
+        shared_memory: bool = True,
+        timeout_s: float | None = None,
+    ) -> ZenohBus:
+        """Join the backbone through the router at a Zenoh locator.
+
+        Waits for a router that is not there yet, for ever if `timeout_s` is None, and says so in
+        the log.
+
+        Raises:
+            ConfigError: `router` is no locator such as `tcp/127.0.0.1:7447`.
+            DeadlineError: No router answered within `timeout_s`.
+        """
+        pool = _SharedMemory(enabled=shared_memory)
+        config = zenoh.Config()
+        try:
+            for path, value in {
+                "mode": "client",
+                "connect/endpoints": [router],
+                "connect/timeout_ms": _OPEN_ATTEMPT_MS,
+                "connect/retry": {
+                    "period_init_ms": 100,
+                    "period_max_ms": 1000,
+                    "period_increase_factor": 1.5,
+                },
+                "scouting/multicast/enabled": False,
+                "transport/shared_memory/enabled": pool.available,
+                "transport/shared_memory/transport_optimization/enabled": False,
+            }.items():
+                config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigError(
+                f"{router!r} is no Zenoh locator such as {DEFAULT_ROUTER!r}: {error}"
+            ) from error
+        log.info("shared memory for large payloads is %s", pool.description)
+        session = await _open_session(config, router, timeout_s)
+        return cls(session, pool)
+
+    def check_open(self) -> None:
+        """Raise `NotConnectedError` once closed."""
+        if self._closed:
+            raise NotConnectedError("this bus is closed")
+
+    def forget(self, declaration: Closeable) -> bool:
+        """Take a declaration off the list; say whether it was still there."""
+        known = declaration in self._declared
+        self._declared.discard(declaration)
+        return known
+
+    def next_publisher_identity(self) -> bytes:
+        """Return 8 bytes that no other publisher of the network has."""
+        self._publishers += 1
+        session = bytes.fromhex(str(self._session.info.zid()).zfill(32))[-5:]
+        return session + self._publishers.to_bytes(3, "little")
+
+    def publisher(
+        self, key: str, *, encoding: str, priority: Priority = Priority.DATA
+    ) -> _Publisher:
+        """See `Bus.publisher`."""
+        self.check_open()
+        declared = self._session.declare_publisher(
+            check_key(key),
+            encoding=encoding,
+            priority=_PRIORITIES[priority],
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=priority is not Priority.BULK,
+        )
+        publisher = _Publisher(self, declared, key)
+        self._declared.add(publisher)
+        return publisher
+
+    def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:
+        """See `Bus.subscribe`."""
+        self.check_open()
+        subscription: Subscription[Sample] = Subscription(
+            check_key_expression(key_expression),
+            delivery,
+            key_of=lambda sample: sample.key,
+            on_close=lambda: declared.undeclare() if self.forget(subscription) else None,
+        )
+        offer = subscription.offer
+
+        def arrived(sample: zenoh.Sample) -> None:
+            publisher, sequence, sent_ns = _read_attachment(sample.attachment)
+            offer(
+                Sample(
+                    key=str(sample.key_expr),
+                    payload=sample.payload.to_bytes(),
+                    encoding=_read_encoding(sample.encoding),
+                    sent_ns=sent_ns,
+                ),
+                publisher,
+                sequence,
+            )
+
+        declared = self._session.declare_subscriber(key_expression, arrived)
+        self._declared.add(subscription)
+        return subscription
+
+    def serve(self, key_expression: str, handler: Handler, *, depth: int = 64) -> Closeable:
+        """See `Bus.serve`."""
+        self.check_open()
+        server = Server(check_key_expression(key_expression), handler, depth)
+
+        def arrived(query: zenoh.Query) -> None:
+            asked = str(query.key_expr)
+            key = key_expression if "*" in asked and "*" not in key_expression else asked
+
+            def respond(answer: Reply | BaseException) -> None:
+                # The session may be gone by the time of an answer; then nobody waits for it.
+                with contextlib.suppress(zenoh.ZError), query:
+                    if isinstance(answer, Reply):
+                        query.reply(key, answer.payload, encoding=answer.encoding)
+                    else:
+                        query.reply_err(encode_failure(answer), encoding=ERROR_ENCODING)
+
+            server.accept(
+                Request(
+                    key=key,
+                    payload=query.payload.to_bytes() if query.payload is not None else b"",
+                    encoding=_read_encoding(query.encoding),
+                    timeout_s=_read_timeout(query.attachment),
+                ),
+                respond,
+            )
+
+        declared = self._session.declare_queryable(key_expression, arrived, complete=True)
+
+        def end() -> None:
+            declared.undeclare()
+            server.close()
+
+        served = _Declared(self, end)
+        self._declared.add(served)
+        return served
+
+    async def call(
+        self, key: str, payload: bytes = b"", *, encoding: str = "", timeout_s: float
+    ) -> Reply:
+        """See `Bus.call`."""
+        check_key(key)
+        deadline_s = time.monotonic() + timeout_s
+        async with contextlib.aclosing(self._ask(key, payload, encoding, timeout_s)) as outcomes:
+            outcome = await anext(outcomes, None)
+        if isinstance(outcome, Reply):
+            return outcome
+        late = time.monotonic() >= deadline_s
+        if outcome is not None and not (late and outcome.kind == "UnknownError"):
+            raise outcome  # an error of unknown kind at the deadline is Zenoh's own "Timeout"
+        if late:
+            raise DeadlineError(key, timeout_s)
+        raise NotConnectedError(f"nobody serves {key!r}")
+
+    async def query(
+        self,
+        key_expression: str,
+        payload: bytes = b"",
+        *,
+        encoding: str = "",
+        timeout_s: float,
+    ) -> AsyncIterator[Reply]:
+        """See `Bus.query`."""
+        check_key_expression(key_expression)
+        async with contextlib.aclosing(
+            self._ask(key_expression, payload, encoding, timeout_s)
+        ) as outcomes:
+            async for outcome in outcomes:
+                if isinstance(outcome, Reply):
+                    yield outcome
+
+    async def _ask(
+        self, target: str, payload: bytes, encoding: str, timeout_s: float
+    ) -> AsyncGenerator[Reply | RemoteError, None]:
+        self.check_open()
+        loop = asyncio.get_running_loop()
+        # Bounded by the number of servers, each of which answers a query once.
+        outcomes: asyncio.Queue[Reply | RemoteError | None] = asyncio.Queue()
+
+        def hand_over(outcome: Reply | RemoteError | None) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
+                loop.call_soon_threadsafe(outcomes.put_nowait, outcome)
+
+        def arrived(reply: zenoh.Reply) -> None:
+            if (ok := reply.ok) is not None:
+                hand_over(
+                    Reply(
+                        payload=ok.payload.to_bytes(),
+                        encoding=_read_encoding(ok.encoding),
+                        key=str(ok.key_expr),
+                    )
+                )
+            elif (err := reply.err) is not None:
+                hand_over(decode_failure(err.payload.to_bytes()))
+
+        self._session.get(
+            target,
+            zenoh.handlers.Callback(arrived, lambda: hand_over(None)),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+            payload=payload,
+            encoding=encoding or None,
+            attachment=struct.pack("<d", timeout_s),
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            express=True,
+        )
+        try:
+            async with asyncio.timeout(timeout_s + 0.5):  # Zenoh keeps the deadline; we see to it
+                while (outcome := await outcomes.get()) is not None:
+                    yield outcome
+        except TimeoutError:
+            return
+
+    def declare_presence(self, key: str) -> Closeable:
+        """See `Bus.declare_presence`."""
+        self.check_open()
+        token = self._session.liveliness().declare_token(check_key(key))
+        presence = _Declared(self, token.undeclare)
+        self._declared.add(presence)
+        return presence
+
+    def presence(self, key_expression: str) -> Subscription[PresenceEvent]:
+        """See `Bus.presence`."""
+        self.check_open()
+        watcher: Subscription[PresenceEvent] = Subscription(
+            check_key_expression(key_expression),
+            PRESENCE_DELIVERY,
+            key_of=lambda event: event.key,
+            on_close=lambda: declared.undeclare() if self.forget(watcher) else None,
+        )
+
+        def arrived(sample: zenoh.Sample) -> None:
+            present = sample.kind == zenoh.SampleKind.PUT
+            watcher.offer(PresenceEvent(str(sample.key_expr), present))
+
+        declared = self._session.liveliness().declare_subscriber(
+            key_expression, arrived, history=True
+        )
+        self._declared.add(watcher)
+        return watcher
+
+    def info(self) -> BusInfo:
+        """See `Bus.info`."""
+        return BusInfo(
+            identity=str(self._session.info.zid()),
+            connected=not self._closed and bool(self._session.info.routers_zid()),
+            shared_memory=self.shared_memory.description,
+            shared_memory_misses=self.shared_memory.misses,
+        )
+
+    async def close(self) -> None:
+        """See `Bus.close`."""
+        if self._closed:
+            return
+        for declaration in tuple(self._declared):
+            declaration.close()
+        self._closed = True
+        await asyncio.to_thread(self._session.close)
+
+
+async def _open_session(
+    config: zenoh.Config, router: str, timeout_s: float | None
+) -> zenoh.Session:
+    deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+    waiting = False
+    while True:
+        try:
+            return await asyncio.to_thread(zenoh.open, config)
+        except zenoh.ZError as error:
+            if deadline_s is not None and time.monotonic() >= deadline_s:
+                raise DeadlineError(f"a Zenoh router at {router}", timeout_s or 0.0) from error
+            if not waiting:
+                log.warning(
+                    "no Zenoh router answers at %s; waiting for it (is the router service up?)",
+                    router,
+                )
+                waiting = True
+
+
+def _read_encoding(encoding: zenoh.Encoding | None) -> str:
+    return "" if encoding is None or encoding == zenoh.Encoding.ZENOH_BYTES else str(encoding)
+
+
+def _read_attachment(attachment: zenoh.ZBytes | None) -> tuple[bytes, int, int]:
+    raw = b"" if attachment is None else attachment.to_bytes()
+    return _ATTACHMENT.unpack(raw) if len(raw) == _ATTACHMENT.size else (b"", -1, 0)
+
+
+def _read_timeout(attachment: zenoh.ZBytes | None) -> float:
+    raw = b"" if attachment is None else attachment.to_bytes()
+    timeout_s = float(struct.unpack("<d", raw)[0]) if len(raw) == 8 else 10.0
+    return timeout_s if 0.0 < timeout_s < 3600.0 else 10.0
