@@ -46,7 +46,6 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Value: TypeAlias = int | float | str | bytes | Sequence["Value"]
 
 _UNIT_MASK: Final = 0xFF
-_INT32_RANGE: Final = range(-(2**31), 2**31)
 
 _I32: Final = struct.Struct("<i")
 
@@ -86,13 +85,14 @@ class Vocab(str):
     @property
     def code(self) -> int:
         """The word as the integer that YARP makes of it, first letter in the lowest byte."""
-        return int.from_bytes(_text_bytes(self), "little")
+        raw = _text_bytes(self)
+        return int.from_bytes(raw.ljust(4 if len(raw) <= 4 else 8, b"\0"), "little", signed=True)
 
     @classmethod
     def from_code(cls, code: int) -> Vocab:
-        """Return the word that `code` stands for, as an int32 field of a YARP struct holds it."""
-        raw = (code & 0xFFFF_FFFF_FFFF_FFFF).to_bytes(8, "little")
-        return cls(_text(raw[:4] if code in _INT32_RANGE else raw).rstrip("\0"))
+        """Return the word that `code` stands for, as the int32 fields of YARP's structs hold it."""
+        raw = code.to_bytes(4 if _is_int32(code) else 8, "little", signed=True)
+        return cls(_text(raw.rstrip(b"\0")))
 
 
 class Vocab64(Vocab):
@@ -181,6 +181,10 @@ def decode_prefix(
 # --- writing ---------------------------------------------------------------------------------
 
 
+def _is_int32(value: int) -> bool:
+    return -(2**31) <= value < 2**31
+
+
 def _text(raw: Buffer) -> str:
     return str(raw, "utf-8", "surrogateescape")
 
@@ -238,7 +242,7 @@ def _writer_for(value: object) -> _Writer:
 
 
 def _write_int(value: int, _dialect: Dialect, _depth: int) -> tuple[int, bytes]:
-    if value in _INT32_RANGE:
+    if _is_int32(value):
         return INT32, _I32.pack(value)
     return INT64, struct.pack("<q", value)
 

@@ -196,7 +196,10 @@ def _unescaped(text: str) -> str:
 
 
 def _vocab(text: str, dialect: Dialect) -> bool | Vocab:
-    raw = text.encode("utf-8", "surrogateescape")
+    try:
+        raw = text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError as error:
+        raise DecodeError(f"the vocab {text[:80]!r} is no text: {error}") from None
     if dialect.vocab64 is not None and len(raw) > 4:
         return Vocab64(raw[:8].decode("utf-8", "surrogateescape"))
     word = raw[:4].decode("utf-8", "surrogateescape")
@@ -207,6 +210,8 @@ def _byte(value: Value) -> int:
     """Return the value as an element of a blob; YARP takes what is no number as 0."""
     if isinstance(value, bool):
         return ord("1") if value else 0
+    if isinstance(value, Vocab):
+        return value.code & 0xFF
     if isinstance(value, int):
         return value & 0xFF
     if isinstance(value, float) and math.isfinite(value):
