@@ -1,0 +1,1 @@
+"""Find faces in camera images and follow them over time."""
