@@ -102,6 +102,9 @@ Handler = Callable[[Request], Awaitable[Reply]]
 """Answers a call. A `VertebraError` it raises reaches the caller as a `RemoteError`."""
 
 
+OnWanted = Callable[[bool], None]
+
+
 class Publisher(Protocol):
     """Puts payloads on one key."""
 
@@ -165,9 +168,18 @@ class Bus(Protocol):
     """
 
     def publisher(
-        self, key: str, *, encoding: str, priority: Priority = Priority.DATA
+        self,
+        key: str,
+        *,
+        encoding: str,
+        priority: Priority = Priority.DATA,
+        on_wanted: OnWanted | None = None,
     ) -> Publisher:
-        """Declare a publisher on a key."""
+        """Declare a publisher on a key.
+
+        `on_wanted` is called in the event loop with True when the first subscriber comes and with
+        False when the last one left, so that nothing is made that nobody wants.
+        """
         ...
 
     def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:

@@ -20,6 +20,7 @@ from vertebra.bus.interface import (
     Closeable,
     Delivery,
     Handler,
+    OnWanted,
     Payload,
     PresenceEvent,
     Priority,
@@ -41,6 +42,12 @@ class MemoryNetwork:
         self.watchers: set[Subscription[PresenceEvent]] = set()
         self.servers: dict[_Served, Server] = {}
         self.present: list[str] = []
+        self.publishers: set[_Publisher] = set()
+
+    def tell_publishers(self) -> None:
+        """Let those publishers know who found or lost their subscribers."""
+        for publisher in tuple(self.publishers):
+            publisher.look_for_subscribers()
 
 
 class _Served:
@@ -81,8 +88,10 @@ class _Token:
 
 
 class _Publisher:
-    def __init__(self, bus: MemoryBus, key: str, encoding: str) -> None:
+    def __init__(self, bus: MemoryBus, key: str, encoding: str, on_wanted: OnWanted | None) -> None:
         self.key = key
+        self._on_wanted = on_wanted
+        self._wanted = False
         self._bus = bus
         self._encoding = encoding
         self._identity = uuid.uuid4().bytes[:8]
@@ -101,7 +110,17 @@ class _Publisher:
                 subscription.offer(sample, self._identity, self._sequence)
         self._sequence += 1
 
+    def look_for_subscribers(self) -> None:
+        wanted = any(
+            intersects(subscription.key_expression, self.key)
+            for subscription in self._bus.network.subscriptions
+        )
+        if self._on_wanted is not None and wanted != self._wanted:
+            self._wanted = wanted
+            asyncio.get_running_loop().call_soon(self._on_wanted, wanted)
+
     def close(self) -> None:
+        self._bus.network.publishers.discard(self)
         self._bus.declared.discard(self)
 
 
@@ -125,11 +144,14 @@ class MemoryBus:
         *,
         encoding: str,
         priority: Priority = Priority.DATA,  # noqa: ARG002  - nothing is ever busy here
+        on_wanted: OnWanted | None = None,
     ) -> _Publisher:
         """See `Bus.publisher`."""
         self.check_open()
-        publisher = _Publisher(self, check_key(key), encoding)
+        publisher = _Publisher(self, check_key(key), encoding, on_wanted)
+        self.network.publishers.add(publisher)
         self.declared.add(publisher)
+        publisher.look_for_subscribers()
         return publisher
 
     def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:
@@ -139,11 +161,16 @@ class MemoryBus:
             check_key_expression(key_expression),
             delivery,
             key_of=lambda sample: sample.key,
-            on_close=lambda: self._forget(self.network.subscriptions, subscription),
+            on_close=lambda: self._unsubscribe(subscription),
         )
         self.network.subscriptions.add(subscription)
         self.declared.add(subscription)
+        self.network.tell_publishers()
         return subscription
+
+    def _unsubscribe(self, subscription: Subscription[Sample]) -> None:
+        self._forget(self.network.subscriptions, subscription)
+        self.network.tell_publishers()
 
     def _forget(self, group: set[Subscription[T]], subscription: Subscription[T]) -> None:
         group.discard(subscription)

@@ -30,6 +30,7 @@ from vertebra.bus.interface import (
     Closeable,
     Delivery,
     Handler,
+    OnWanted,
     Payload,
     PresenceEvent,
     Priority,
@@ -218,7 +219,12 @@ class ZenohBus:
         return session + self._publishers.to_bytes(3, "little")
 
     def publisher(
-        self, key: str, *, encoding: str, priority: Priority = Priority.DATA
+        self,
+        key: str,
+        *,
+        encoding: str,
+        priority: Priority = Priority.DATA,
+        on_wanted: OnWanted | None = None,
     ) -> _Publisher:
         """See `Bus.publisher`."""
         self.check_open()
@@ -231,6 +237,8 @@ class ZenohBus:
         )
         publisher = _Publisher(self, declared, key)
         self._declared.add(publisher)
+        if on_wanted is not None:
+            _follow_demand(declared, on_wanted)
         return publisher
 
     def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:
@@ -421,6 +429,25 @@ class ZenohBus:
             declaration.close()
         self._closed = True
         await asyncio.to_thread(self._session.close)
+
+
+def _follow_demand(publisher: zenoh.Publisher, on_wanted: OnWanted) -> None:
+    loop = asyncio.get_running_loop()
+    wanted = False
+
+    def tell(now: bool) -> None:  # noqa: FBT001  - the callback of the interface
+        nonlocal wanted
+        if now != wanted:
+            wanted = now
+            on_wanted(now)
+
+    def changed(status: zenoh.MatchingStatus) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
+            loop.call_soon_threadsafe(tell, status.matching)
+
+    publisher.declare_matching_listener(changed)
+    # The stub says bool; version 1.10.2 returns a MatchingStatus.
+    loop.call_soon(lambda: tell(publisher.matching_status.matching))  # type: ignore[attr-defined]
 
 
 async def _open_session(

@@ -149,6 +149,29 @@ class BusSuite(ABC):
         subscription.close()
         assert await asyncio.wait_for(waiter, TIMEOUT_S) is None
 
+    async def test_publisher_is_told_when_it_is_wanted(self, pair: tuple[Bus, Bus]) -> None:
+        here, there = pair
+        told: list[bool] = []
+        here.publisher("suite/wanted", encoding="", on_wanted=told.append)
+        first = there.subscribe("suite/*", Delivery.latest())
+        await eventually(lambda: told == [True])
+        second = there.subscribe("suite/wanted", Delivery.latest())
+        first.close()
+        await self.reach(there, here)
+        assert told == [True]
+        second.close()
+        await eventually(lambda: told == [True, False])
+
+    async def test_publisher_learns_of_subscribers_that_were_there_before(
+        self, pair: tuple[Bus, Bus]
+    ) -> None:
+        here, there = pair
+        told: list[bool] = []
+        async with there.subscribe("suite/wanted", Delivery.latest()):
+            await self.reach(there, here)
+            here.publisher("suite/wanted", encoding="", on_wanted=told.append)
+            await eventually(lambda: told == [True])
+
     async def test_call_is_answered(self, pair: tuple[Bus, Bus]) -> None:
         here, there = pair
         seen: list[Request] = []
