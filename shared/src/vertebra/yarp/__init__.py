@@ -22,10 +22,11 @@ from vertebra.yarp.bottle import (
 )
 from vertebra.yarp.client import Reader, RpcClient
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.link import Counters, Link
+from vertebra.yarp.incoming import Incoming, OnCall, OnData, Reply
+from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
 from vertebra.yarp.names import Contact, NameClient, find_name_server
 from vertebra.yarp.nameserver import NameServer
-from vertebra.yarp.port import Delivery, Incoming, OnCall, OnData, Port, Reply
+from vertebra.yarp.port import Port
 from vertebra.yarp.text import from_text, is_complete, to_text
 from vertebra.yarp.wire import PeerLimits
 
@@ -48,6 +49,7 @@ __all__ = [
     "OnData",
     "PeerLimits",
     "Port",
+    "PortNotFoundError",
     "Reader",
     "Reply",
     "RpcClient",

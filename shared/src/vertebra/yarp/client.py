@@ -2,24 +2,56 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
-from vertebra.yarp.bottle import Value
+from vertebra.errors import BusyError, DeadlineError, DecodeError, EncodeError, NotConnectedError
+from vertebra.yarp.bottle import Value, encode
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.link import Link
-from vertebra.yarp.names import NameClient
-from vertebra.yarp.port import OnData
-from vertebra.yarp.wire import DEFAULT_LIMITS, PeerLimits
+from vertebra.yarp.incoming import OnData, ReadingLink, acknowledgement
+from vertebra.yarp.link import Connection, Link, dial, find
+from vertebra.yarp.names import NameClient, check_name
+from vertebra.yarp.wire import (
+    DEFAULT_LIMITS,
+    FAST_TCP,
+    TCP,
+    CallReply,
+    Carrier,
+    Event,
+    Message,
+    Number,
+    PeerLimits,
+    binary_message,
+    command,
+    reverse_message,
+)
+
+_READER_CARRIERS: Final = {carrier.name: carrier for carrier in (FAST_TCP, TCP)}
 
 
-class Reader(Link):
+class Reader(ReadingLink):
     """A subscription to an output port, made by dialling it (reverse connection).
 
     Nothing is registered and nothing listens on our side. When the source goes away,
     `wait_closed` returns; dialling again is up to the caller.
     """
+
+    def __init__(
+        self,
+        connection: Connection,
+        source: str,
+        carrier: Carrier,
+        dialect: Dialect,
+        on_data: OnData,
+    ) -> None:
+        super().__init__(connection, source, carrier.name, dialect)
+        self._ack = acknowledgement(carrier)
+        self._awaits_ack = carrier.acks
+        self._on_data = on_data
+        connection.on_event = self._on_event
+        connection.on_lost = None
 
     @classmethod
     async def dial(
@@ -32,8 +64,8 @@ class Reader(Link):
         carrier: str = "fast_tcp",
         dialect: Dialect = Dialect.V3,
         limits: PeerLimits = DEFAULT_LIMITS,
-    ) -> Reader:
-        """Subscribe to the output port `source`.
+    ) -> Self:
+        """Subscribe to the output port `source`, over tcp or fast_tcp.
 
         `reader_name` is how the source lists us; it must be rooted (`/x`) and unique at the
         source, which closes an older connection of the same name.
@@ -41,12 +73,48 @@ class Reader(Link):
         Raises:
             NotConnectedError: `source` is not registered, or nobody listens there.
             DeadlineError: It does not answer.
+            EncodeError: `carrier` is another one.
         """
-        raise NotImplementedError
+        if carrier not in _READER_CARRIERS:
+            raise EncodeError(f"cannot read over carrier {carrier!r}; use fast_tcp or tcp")
+        spoken = _READER_CARRIERS[carrier]
+        contact = await find(source, names)
+        connection = await dial(contact, spoken, check_name(reader_name), (), limits)
+        reader = cls(connection, source, spoken, dialect, on_data)
+        connection.write(reverse_message())
+        connection.release()
+        return reader
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, Message):
+            letter = event.command[:1]
+            if letter in ("D", "d"):
+                self._deliver(self._incoming(event, reply_wanted=False), self._on_data)
+            if self._ack:
+                self._connection.write(self._ack)
+            if letter == "q":
+                self._connection.close("closed by the peer")
+        elif self._awaits_ack and event == Number(0):
+            self._awaits_ack = False  # of our request; from now on the acks are ours
+        else:
+            raise DecodeError(f"{self.peer} sent {event} where a message should be")
 
 
 class RpcClient(Link):
     """A connection to a YARP RPC port; `async with await RpcClient.connect(...) as client`."""
+
+    def __init__(
+        self, connection: Connection, peer: str, dialect: Dialect, max_waiting_calls: int
+    ) -> None:
+        super().__init__(connection, peer, TCP.name)
+        self._dialect = dialect
+        self._max_waiting_calls = max_waiting_calls
+        self._calls = 0
+        self._turn = asyncio.Lock()
+        self._reply: asyncio.Future[list[Value]] | None = None
+        connection.receiver.expect_replies(dialect)
+        connection.on_event = self._on_event
+        connection.on_lost = self._on_lost
 
     @classmethod
     async def connect(
@@ -58,14 +126,18 @@ class RpcClient(Link):
         dialect: Dialect = Dialect.V3,
         limits: PeerLimits = DEFAULT_LIMITS,
         max_waiting_calls: int = 64,
-    ) -> RpcClient:
+    ) -> Self:
         """Dial the RPC port `name` over tcp.
 
         Raises:
             NotConnectedError: `name` is not registered, or nobody listens there.
             DeadlineError: It does not answer.
         """
-        raise NotImplementedError
+        contact = await find(name, names)
+        connection = await dial(contact, TCP, sender, (), limits)
+        client = cls(connection, name, dialect, max_waiting_calls)
+        connection.release()
+        return client
 
     async def call(self, values: Sequence[Value], *, timeout_s: float) -> list[Value]:
         """Send one bottle and return the reply; calls are answered in their order.
@@ -75,11 +147,21 @@ class RpcClient(Link):
 
         Raises:
             DeadlineError: No reply in time, waiting for earlier calls included.
-            NotConnectedError: The connection is or was lost.
+            NotConnectedError: The connection is or was lost, or the reply is not a bottle.
             BusyError: `max_waiting_calls` are waiting already.
-            DecodeError: The reply is not a bottle.
+            EncodeError: A value has no form in a bottle.
         """
-        raise NotImplementedError
+        request = encode(values, self._dialect)
+        if self._calls > self._max_waiting_calls:
+            raise BusyError(f"the YARP connection to {self.peer}", self._max_waiting_calls)
+        self._calls += 1
+        try:
+            async with asyncio.timeout(timeout_s), self._turn:
+                return await self._exchange(request)
+        except TimeoutError:
+            raise DeadlineError(f"YARP port {self.peer}", timeout_s) from None
+        finally:
+            self._calls -= 1
 
     async def __aenter__(self) -> Self:
         return self
@@ -91,3 +173,35 @@ class RpcClient(Link):
         trace: TracebackType | None,
     ) -> None:
         await self.close()
+
+    async def _exchange(self, request: bytes) -> list[Value]:
+        if self._connection.closing:
+            raise self._lost()
+        self._reply = asyncio.get_running_loop().create_future()
+        try:
+            self._connection.write(*binary_message(command("d"), (request,)))
+            reply = await self._reply
+        except BaseException:
+            self._connection.close("a call was given up, and with it the place in the stream")
+            raise
+        finally:
+            self._reply = None
+        self.counters.messages += 1
+        self.counters.bytes += len(request)
+        return reply
+
+    def _on_event(self, event: Event) -> None:
+        reply = self._reply
+        if not isinstance(event, CallReply) or reply is None or reply.done():
+            raise DecodeError(f"{self.peer} sent something without being asked")
+        reply.set_result(event.values or [])
+
+    def _on_lost(self) -> None:
+        if self._reply is not None and not self._reply.done():
+            self._reply.set_exception(self._lost())
+
+    def _lost(self) -> NotConnectedError:
+        return NotConnectedError(
+            f"the connection to YARP port {self.peer} has ended: {self._connection.reason}; "
+            "connect a new client"
+        )

@@ -2,7 +2,42 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import socket
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
+
+from vertebra.errors import BusyError, CodecError, DeadlineError, DecodeError, NotConnectedError
+from vertebra.yarp.bottle import decode
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.names import Contact, NameClient
+from vertebra.yarp.text import to_text
+from vertebra.yarp.wire import (
+    TEXT_ACK_LINE,
+    UNKNOWN_HEADER_ANSWER,
+    Buffer,
+    Carrier,
+    Event,
+    Message,
+    Number,
+    PeerLimits,
+    Receiver,
+    UnknownCarrierError,
+    binary_message,
+    command,
+    greeting,
+    quit_message,
+    text_message,
+)
+
+log = logging.getLogger(__name__)
+
+Delivery = Literal["latest", "queue"]
+
+CLOSE_GRACE_S = 1.0
 
 
 @dataclass(slots=True)
@@ -21,6 +56,230 @@ class Counters:
     dropped: int = 0
     refused: int = 0
 
+    def __add__(self, other: Counters) -> Counters:
+        return Counters(
+            self.messages + other.messages,
+            self.bytes + other.bytes,
+            self.dropped + other.dropped,
+            self.refused + other.refused,
+        )
+
+
+def is_power_of_two(count: int) -> bool:
+    """Say whether to log the `count`-th fault of a stream: a thousand faults make ten lines."""
+    return count & (count - 1) == 0
+
+
+class Connection(asyncio.BufferedProtocol):
+    """A TCP connection: bytes in become events for `on_event`, one after the other.
+
+    Attributes:
+        peer_host: Address of the other side; `peer` is with its TCP port.
+        reason: Why the connection ended, empty while it lives.
+        writable: All that was written so far is with the kernel.
+    """
+
+    def __init__(
+        self,
+        receiver: Receiver,
+        on_event: Callable[[Event], None],
+        on_lost: Callable[[], None] | None,
+    ) -> None:
+        self.on_event = on_event
+        self.on_lost = on_lost
+        self.on_writable: Callable[[], None] | None = None
+        self.receiver = receiver
+        self.peer_host = self.peer = "?"
+        self.reason = ""
+        self.writable = True
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._held = False
+        self._paused = False
+        self._ended = False  # the peer sends no more, but may still read
+        self._grace: asyncio.TimerHandle | None = None
+        self._transport: asyncio.Transport | None = None
+
+    # What asyncio calls:
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 -- what loop.create_server gives
+        self._transport = transport
+        if self.reason:
+            transport.abort()
+            return
+        transport.set_write_buffer_limits(high=0)  # tells at once that the peer does not keep up
+        host, tcp_port = transport.get_extra_info("peername")[:2]
+        self.peer_host, self.peer = host, f"{host}:{tcp_port}"
+        _keep_alive(transport.get_extra_info("socket"))
+
+    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 -- asyncio's signature
+        """Return where to receive into."""
+        return self.receiver.get_buffer()
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Take what was received."""
+        self.receiver.buffer_updated(nbytes)
+        self._pump()
+
+    def pause_writing(self) -> None:
+        """Note that the kernel is full."""
+        self.writable = False
+
+    def resume_writing(self) -> None:
+        """Note that the kernel has taken everything."""
+        self.writable = True
+        if self.on_writable is not None:
+            self.on_writable()
+
+    def eof_received(self) -> bool:
+        """Close, unless a reply is under way to a peer that has only stopped sending."""
+        self._ended = True
+        return self._held
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        if self._grace is not None:
+            self._grace.cancel()
+        self.reason = self.reason or (f"lost: {exc}" if exc else "closed by the peer")
+        self.lost.set_result(None)
+        if self.on_lost is not None:
+            self.on_lost()
+
+    # What the owner calls:
+
+    def hold(self) -> None:
+        """Deliver no more events until `release`."""
+        self._held = True
+
+    def release(self) -> None:
+        """Deliver events again."""
+        self._held = False
+        if self._transport is None or self.closing:
+            return
+        if self._paused:
+            self._paused = False
+            self._transport.resume_reading()
+        self._pump()
+        if self._ended and not self._held:
+            self.close("closed by the peer")
+
+    def write(self, *buffers: Buffer) -> None:
+        """Send; nothing happens on a connection that ends."""
+        if self._transport is None or self.closing:
+            return
+        for buffer in buffers:
+            self._transport.write(buffer)
+
+    def close(self, reason: str) -> None:
+        """End the connection, sending first what was written."""
+        if self.closing:
+            return
+        self.reason = reason
+        if self._transport is not None:  # else it is being made, and ends as soon as it is
+            self._transport.close()
+            loop = asyncio.get_running_loop()
+            self._grace = loop.call_later(CLOSE_GRACE_S, self._transport.abort)
+
+    def refuse(self, reason: str) -> None:
+        """End the connection because of what the peer did."""
+        log.warning("closed the YARP connection from %s: %s", self.peer, reason)
+        self.close(reason)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the connection has ended or is about to."""
+        return bool(self.reason) or (self._transport is not None and self._transport.is_closing())
+
+    def _pump(self) -> None:
+        try:
+            while not self._held and not self.closing:
+                event = self.receiver.next_event()
+                if event is None:
+                    break
+                self.on_event(event)
+        except UnknownCarrierError as error:
+            self.write(UNKNOWN_HEADER_ANSWER)
+            self.refuse(str(error))
+        except DecodeError as error:
+            self.refuse(str(error))
+        if self.receiver.full and not self._paused and not self.closing:
+            assert self._transport is not None  # noqa: S101 -- it is not closing
+            self._paused = True
+            self._transport.pause_reading()
+
+
+def _keep_alive(sock: socket.socket) -> None:
+    """Make the kernel notice within half a minute that the other machine is gone."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 4)):
+        if hasattr(socket, option):  # not on every system
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+
+async def dial(
+    contact: Contact,
+    carrier: Carrier,
+    sender: str,
+    modifiers: Sequence[str],
+    limits: PeerLimits,
+) -> Connection:
+    """Connect to a YARP port and greet it; the connection is held until its owner takes it over.
+
+    Raises:
+        NotConnectedError: Nobody listens there, or it is no YARP port.
+        DeadlineError: It does not answer.
+    """
+    where = f"YARP port {contact.name} at {contact.host}:{contact.tcp_port}"
+    hello = greeting(carrier, sender, modifiers)
+    answered = asyncio.Event()
+
+    def on_event(event: Event) -> None:
+        if isinstance(event, Message) and not event.command.startswith("Welcome"):
+            raise DecodeError(f"a greeting is answered by a welcome, not by {event.command!r:.80}")
+        connection.hold()
+        answered.set()
+
+    connection = Connection(Receiver(limits, carrier), on_event, answered.set)
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(limits.connect_timeout_s):
+            await loop.create_connection(lambda: connection, contact.host, contact.tcp_port)
+            connection.write(hello)
+            await answered.wait()
+    except TimeoutError:
+        connection.close("no answer to the greeting")
+        raise DeadlineError(where, limits.connect_timeout_s) from None
+    except OSError as error:
+        raise NotConnectedError(
+            f"cannot reach {where}: {error}; is its process alive? `yarp clean` removes dead names"
+        ) from error
+    except asyncio.CancelledError:
+        connection.close("cancelled")
+        raise
+    if connection.closing:
+        raise NotConnectedError(f"{where} does not take {carrier.name}: {connection.reason}")
+    return connection
+
+
+class PortNotFoundError(NotConnectedError):
+    """The name server does not know this YARP port; it may not have started yet."""
+
+
+async def find(name: str, names: NameClient) -> Contact:
+    """Return where `name` listens.
+
+    Raises:
+        PortNotFoundError: It is not registered.
+    """
+    contact = await names.query(name)
+    if contact is None:
+        raise PortNotFoundError(
+            f"YARP port {name} is not registered at the name server {names.host}:{names.tcp_port}; "
+            "start its program, or look with `yarp name list`"
+        )
+    return contact
+
 
 class Link:
     """A connection as its owner sees it.
@@ -31,19 +290,168 @@ class Link:
         counters: What passed over it in its data direction.
     """
 
-    peer: str
-    carrier: str
-    counters: Counters
+    def __init__(self, connection: Connection, peer: str, carrier: str) -> None:
+        self.peer = peer
+        self.carrier = carrier
+        self.counters = Counters()
+        self._connection = connection
 
     @property
     def closed(self) -> bool:
-        """Say whether the connection has ended."""
-        raise NotImplementedError
+        """Whether the connection has ended or is about to."""
+        return self._connection.closing
+
+    @property
+    def lost(self) -> asyncio.Future[None]:
+        """Done when the connection has ended."""
+        return self._connection.lost
 
     async def wait_closed(self) -> str:
         """Wait for the end of the connection, whoever ends it, and return the reason."""
-        raise NotImplementedError
+        await asyncio.shield(self.lost)
+        return self._connection.reason
 
     async def close(self) -> None:
-        """End the connection in order: a writer sends `q` first."""
-        raise NotImplementedError
+        """End the connection."""
+        self._connection.close("closed by us")
+        await self.wait_closed()
+
+    def _lose(self, reason: object) -> None:
+        self.counters.refused += 1
+        if is_power_of_two(self.counters.refused):
+            log.error(
+                "YARP connection with %s over %s lost %d messages so far: %s",
+                self.peer,
+                self.carrier,
+                self.counters.refused,
+                reason,
+            )
+
+
+class Outgoing:
+    """A message on its way to several outputs; each form is made once, where one needs it."""
+
+    __slots__ = (
+        "_buffers",
+        "_dialect",
+        "_envelope",
+        "_max_text_bytes",
+        "_payload",
+        "_text",
+        "size",
+    )
+
+    def __init__(
+        self, payload: Sequence[Buffer], envelope: str, dialect: Dialect, max_text_bytes: int
+    ) -> None:
+        self.size = sum(map(len, payload))
+        self._payload = payload
+        self._envelope = envelope
+        self._dialect = dialect
+        self._max_text_bytes = max_text_bytes
+        self._buffers = binary_message(command("D", envelope), payload)
+        self._text: bytes | None = None
+
+    def buffers(self, carrier: Carrier) -> Iterable[Buffer]:
+        """Return what goes to the socket.
+
+        Raises:
+            CodecError: The payload has no text form, or one that is too long.
+        """
+        return (self._as_text(),) if carrier.is_text else self._buffers
+
+    def _as_text(self) -> bytes:
+        if self._text is None:
+            if self.size > self._max_text_bytes:
+                raise DecodeError(
+                    f"a payload of {self.size} bytes is not turned into text, the limit "
+                    f"max_text_bytes is {self._max_text_bytes}; use tcp or fast_tcp"
+                )
+            values = decode(b"".join(self._payload), self._dialect)
+            self._text = text_message("D", self._envelope, to_text(values, self._dialect))
+        return self._text
+
+
+class Output(Link):
+    """A connection to which a port writes; never blocks, holds at most `depth` messages back.
+
+    Attributes:
+        is_reverse: The reader has dialled us.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        peer: str,
+        carrier: Carrier,
+        modifiers: Sequence[str],
+        *,
+        delivery: Delivery,
+        depth: int,
+        is_reverse: bool,
+    ) -> None:
+        super().__init__(connection, peer, "+".join((carrier.name, *modifiers)))
+        self.is_reverse = is_reverse
+        self._carrier = carrier
+        self._delivery = delivery
+        self._waiting: deque[Outgoing] = deque()
+        self._depth = 1 if delivery == "latest" else depth
+        self._awaits_ack = False
+        connection.on_event = self._on_event
+        connection.on_writable = self._flush
+
+    def offer(self, message: Outgoing) -> None:
+        """Send now, or keep for later, or drop, as `delivery` says.
+
+        Raises:
+            BusyError: The queue is full.
+        """
+        if not self._waiting and not self._awaits_ack and self._connection.writable:
+            self._send(message)
+            return
+        if len(self._waiting) == self._depth:
+            if self._delivery == "queue":
+                self.counters.refused += 1
+                raise BusyError(f"the YARP connection to {self.peer}", self._depth)
+            self._waiting.popleft()
+            self.counters.dropped += 1
+        self._waiting.append(message)
+
+    async def close(self) -> None:
+        """Tell the reader, then end the connection; what waits is not sent any more."""
+        self.leave("closed by us")
+        await self.wait_closed()
+
+    def leave(self, reason: str) -> None:
+        """Begin to end the connection."""
+        self._waiting.clear()
+        self._connection.write(quit_message(self._carrier))
+        self._connection.close(reason)
+
+    def _send(self, message: Outgoing) -> None:
+        try:
+            buffers = message.buffers(self._carrier)
+        except CodecError as error:
+            self._lose(error)
+            return
+        self._awaits_ack = self._carrier.acks
+        self._connection.write(*buffers)
+        self.counters.messages += 1
+        self.counters.bytes += message.size
+
+    def _flush(self) -> None:
+        while self._waiting and not self._awaits_ack and self._connection.writable:
+            self._send(self._waiting.popleft())
+
+    def _on_event(self, event: Event) -> None:
+        if self._awaits_ack and _is_ack(event):
+            self._awaits_ack = False
+            self._flush()
+        elif not (isinstance(event, Message) and event.command == ""):
+            raise DecodeError(f"{self.peer} reads over {self.carrier}, but sent {event!r:.80}")
+
+
+def _is_ack(event: Event) -> bool:
+    if isinstance(event, Number):
+        return event.value == 0
+    return isinstance(event, Message) and event.command == TEXT_ACK_LINE

@@ -2,65 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+import asyncio
+import logging
+import socket
+from collections.abc import Sequence
 from types import TracebackType
-from typing import Literal, Self
+from typing import Final, Self
 
-from vertebra.yarp.bottle import Value
+from vertebra.errors import ConfigError, TransportError
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.link import Counters, Link
-from vertebra.yarp.names import Contact, NameClient
+from vertebra.yarp.incoming import OnCall, OnData
+from vertebra.yarp.link import Counters, Delivery, Link
+from vertebra.yarp.names import CHOOSE_FOR_ME, Contact, NameClient, check_name
+from vertebra.yarp.switchboard import Switchboard
 from vertebra.yarp.wire import DEFAULT_LIMITS, Buffer, PeerLimits
 
-Delivery = Literal["latest", "queue"]
+log = logging.getLogger(__name__)
 
-
-class Incoming:
-    """One message as it reached a port; its payload belongs to the receiver of this object.
-
-    Attributes:
-        payload: The serialised object, read-only. Text carriers deliver the binary bottle too.
-        envelope: The text beside the payload, often a Stamp (`41 1234.5`); empty when absent.
-        sender: Name that the sender gave; rooted (`/x`) for real ports.
-        carrier: Such as `tcp`.
-        reply_wanted: The sender waits for a reply.
-    """
-
-    payload: memoryview
-    envelope: str
-    sender: str
-    carrier: str
-    reply_wanted: bool
-
-    def bottle(self) -> list[Value]:
-        """Decode the payload as a bottle in the dialect of the port.
-
-        Raises:
-            DecodeError: It is not one.
-        """
-        raise NotImplementedError
-
-
-Reply = Sequence[Value] | bytes | None
-"""A bottle; or bytes that are sent as they are on every carrier; None acknowledges only."""
-
-OnData = Callable[[Incoming], None]
-"""Called in the event loop for each message: hand over and return at once."""
-
-OnCall = Callable[[Incoming], Awaitable[Reply]]
-"""Answers a message; one call per connection at a time, cancelled after `reply_timeout_s`."""
+_WILDCARDS: Final = ("", "0.0.0.0", "::")  # noqa: S104 -- compared with, not bound to
 
 
 class Port:
-    """A registered YARP port; `async with await Port.open(...) as port`.
+    """A registered YARP port; `async with await Port.open(...) as port`."""
 
-    Attributes:
-        name: As registered.
-        contact: Where it listens.
-    """
-
-    name: str
-    contact: Contact
+    def __init__(self, board: Switchboard, advertise_host: str | None) -> None:
+        self._board = board
+        self._advertise_host = advertise_host
+        self._listener: asyncio.Server | None = None
+        self._keeper: asyncio.Task[None] | None = None
 
     @classmethod
     async def open(
@@ -78,7 +47,7 @@ class Port:
         dialect: Dialect = Dialect.V3,
         limits: PeerLimits = DEFAULT_LIMITS,
         check_registration_s: float = 2.0,
-    ) -> Port:
+    ) -> Self:
         """Listen, register `name` and keep it registered, also over restarts of the name server.
 
         With `on_call` the port answers every message that wants a reply, and gets the others too
@@ -97,7 +66,7 @@ class Port:
             advertise_host: Address to register; by default `bind_host`, or, where that is a
                 wildcard, the address from which the name server sees us.
             tcp_port: 0 takes any free one.
-            dialect: How numbers are tagged in bottles; YARP 3 by default.
+            dialect: How numbers are tagged in bottles.
             limits: What peers may cost.
             check_registration_s: Time between two looks whether `name` is still registered.
 
@@ -106,27 +75,59 @@ class Port:
             NameMappingError: `name` is not a YARP port name.
             NotConnectedError, DeadlineError: The name server does not answer.
         """
-        raise NotImplementedError
+        if name != CHOOSE_FOR_ME:
+            check_name(name)
+        board = Switchboard(
+            Contact(name, "tcp", bind_host, tcp_port),
+            names,
+            on_data=on_data,
+            on_call=on_call,
+            delivery=delivery,
+            depth=depth,
+            dialect=dialect,
+            limits=limits,
+        )
+        if advertise_host is None and bind_host not in _WILDCARDS:
+            advertise_host = bind_host
+        port = cls(board, advertise_host)
+        try:
+            await port._listen(bind_host, tcp_port)
+            await port._register()
+        except BaseException:
+            await port._shut()
+            raise
+        port._keeper = asyncio.create_task(port._keep_registered(check_registration_s))
+        return port
+
+    @property
+    def name(self) -> str:
+        """The name as registered."""
+        return self._board.contact.name
+
+    @property
+    def contact(self) -> Contact:
+        """Where the port listens, as registered."""
+        return self._board.contact
 
     @property
     def outputs(self) -> list[Link]:
         """Connections that carry what `write` is given."""
-        raise NotImplementedError
+        return [*self._board.outputs]
 
     @property
     def inputs(self) -> list[Link]:
         """Connections that may send to us, tools such as `<ping>` included."""
-        raise NotImplementedError
+        return [*self._board.inputs]
 
     @property
     def sent(self) -> Counters:
         """Totals over all outputs, closed ones included."""
-        raise NotImplementedError
+        return self._board.sent
 
     @property
     def received(self) -> Counters:
         """Totals over all inputs, closed ones included."""
-        raise NotImplementedError
+        return self._board.received
 
     def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
         """Send one serialised object to all outputs, without waiting.
@@ -137,7 +138,8 @@ class Port:
             BusyError: `delivery` is `queue` and at least one output refused; the others got it.
             EncodeError: The envelope holds control characters.
         """
-        raise NotImplementedError
+        parts = (payload,) if isinstance(payload, bytes) else [*map(_octets, payload)]
+        self._board.write(parts, envelope)
 
     async def connect(self, dest: str, carrier: str = "fast_tcp") -> Link:
         """Send to the port `dest` from now on, replacing an earlier connection to it.
@@ -147,15 +149,28 @@ class Port:
             DeadlineError: It does not answer.
             EncodeError: We do not speak `carrier`.
         """
-        raise NotImplementedError
+        return await self._board.connect(dest, carrier)
 
     async def disconnect(self, dest: str) -> bool:
         """Stop sending to `dest`; say whether there was such a connection."""
-        raise NotImplementedError
+        output = self._board.drop_output(dest)
+        if output is None:
+            return False
+        await output.wait_closed()
+        return True
 
     async def close(self) -> None:
         """Unregister, tell the readers, close every connection and stop listening."""
-        raise NotImplementedError
+        if self._keeper is None:
+            return
+        self._keeper.cancel()
+        await asyncio.wait([self._keeper])
+        self._keeper = None
+        try:
+            await self._board.names.unregister(self.name)
+        except TransportError as error:
+            log.warning("%s stays registered: %s", self.name, error)
+        await self._shut()
 
     async def __aenter__(self) -> Self:
         return self
@@ -167,3 +182,57 @@ class Port:
         trace: TracebackType | None,
     ) -> None:
         await self.close()
+
+    async def _listen(self, bind_host: str, tcp_port: int) -> None:
+        # One family only: "localhost" is two addresses, which would get two TCP ports.
+        family = socket.AF_INET6 if ":" in bind_host else socket.AF_INET
+        loop = asyncio.get_running_loop()
+        try:
+            self._listener = await loop.create_server(
+                self._board.accept, bind_host, tcp_port, family=family
+            )
+        except OSError as error:
+            raise ConfigError(
+                f"YARP port {self.name} cannot listen on {bind_host}:{tcp_port}: {error}; "
+                "choose another address, or stop the program that has it"
+            ) from error
+
+    async def _register(self) -> None:
+        assert self._listener is not None  # noqa: S101 -- _listen comes first
+        tcp_port = self._listener.sockets[0].getsockname()[1]
+        names = self._board.names
+        self._board.contact = await names.register(
+            self.name, host=self._advertise_host, tcp_port=tcp_port
+        )
+        await names.announce(self.name)
+
+    async def _keep_registered(self, interval_s: float) -> None:
+        trouble = ""
+        while True:
+            await asyncio.sleep(interval_s)
+            before, trouble = trouble, await self._check_registration()
+            if trouble and not before:
+                log.warning("YARP port %s: %s", self.name, trouble)
+            elif before and not trouble:
+                log.info("YARP port %s is registered again", self.name)
+
+    async def _check_registration(self) -> str:
+        """Register again if the name server has forgotten us; return what is wrong."""
+        try:
+            found = await self._board.names.query(self.name)
+            if found is None:
+                await self._register()
+        except TransportError as error:
+            return str(error)
+        if found not in (None, self.contact):
+            return f"another port has taken its name: {found}; ours is {self.contact}"
+        return ""
+
+    async def _shut(self) -> None:
+        if self._listener is not None:
+            self._listener.close()
+        await self._board.close()
+
+
+def _octets(part: Buffer) -> Buffer:
+    return part if isinstance(part, bytes) else memoryview(part).cast("B")

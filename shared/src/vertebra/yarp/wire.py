@@ -1,9 +1,32 @@
-"""What travels on a YARP connection, without any I/O: carriers, limits, greetings, messages."""
+"""What travels on a YARP connection, without any I/O.
+
+Whoever opens a TCP connection sends eight bytes that choose the carrier, and its name. From then
+on it sends messages; the other side sends acknowledgements and replies.
+
+    binary   -> header(8) . i32 length . name . 00        <- number(own TCP port)
+             -> number(10) . blocks(1) . outputs(1) . ff*8 . i32 per block . i32 per output
+                command . payload                         <- [reply] [number(0) on tcp]
+    text     -> "CONNECT name" or "CONNACK name"          <- "Welcome name"
+             -> command line . payload line               <- [reply line] ["<ACK>" on text_ack]
+    name_ser -> "NAME_SERVER payload" on each line        <- reply lines
+
+A number is `YA . i32 . RP`. A binary command is `i32 length . ~ . letter . 00 . 01`; where the
+letter is 00, a NUL-terminated text follows that begins with the letter. A reply is the bare
+object: it has neither index nor length.
+"""
 
 from __future__ import annotations
 
+import re
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
+
+from vertebra.errors import DecodeError, EncodeError
+from vertebra.yarp.bottle import Incomplete, Value, decode_prefix
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.text import is_complete, join_lines
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
@@ -14,16 +37,17 @@ class PeerLimits:
 
     Attributes:
         max_message_bytes: Largest announced message or reply.
-        max_text_bytes: Longest line on the text carriers, and largest payload turned into one.
+        max_text_bytes: Longest message on the text carriers, also where a payload becomes text.
         max_connections: Connections that one YARP port accepts at the same time.
-        max_silent_connections: How many of these may not have chosen a carrier yet.
+        max_silent_connections: How many of these may not have chosen a carrier yet; the one that
+            has been silent longest makes room.
         greeting_timeout_s: How long a peer may take to choose its carrier.
         connect_timeout_s: How long dialling another port may take, its greeting included.
         reply_timeout_s: How long `on_call` may take before the caller gets `[fail]`.
     """
 
     max_message_bytes: int = 64 * 1024 * 1024
-    max_text_bytes: int = 1024 * 1024
+    max_text_bytes: int = 256 * 1024
     max_connections: int = 256
     max_silent_connections: int = 64
     greeting_timeout_s: float = 30.0
@@ -32,3 +56,536 @@ class PeerLimits:
 
 
 DEFAULT_LIMITS: Final = PeerLimits()
+
+
+# --- numbers and carriers --------------------------------------------------------------------
+
+_NUMBER = struct.Struct("<2si2s")
+_I32 = struct.Struct("<i")
+_BINARY_CARRIERS: Final = 7777  # number of a binary carrier, plus its code
+_WITH_ACK: Final = 128  # bit of the code
+
+
+def yarp_number(value: int) -> bytes:
+    """Return `value` as the eight bytes that YARP uses for headers, answers and acks."""
+    return _NUMBER.pack(b"YA", value, b"RP")
+
+
+def parse_number(raw: Buffer, offset: int = 0) -> int | None:
+    """Return the number that the eight bytes at `offset` spell, or None."""
+    before, value, after = _NUMBER.unpack_from(raw, offset)
+    return int(value) if (before, after) == (b"YA", b"RP") else None
+
+
+ACK: Final = yarp_number(0)
+TEXT_ACK_LINE: Final = "<ACK>"
+_INDEX: Final = yarp_number(10)
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """How the messages of one connection are written.
+
+    Attributes:
+        name: As people say it in `yarp connect a b NAME`.
+        header: The eight bytes that choose it.
+        acks: The receiver acknowledges every message.
+        is_text: Messages are lines of text.
+    """
+
+    name: str
+    header: bytes
+    acks: bool
+    is_text: bool
+
+
+TCP: Final = Carrier("tcp", yarp_number(_BINARY_CARRIERS + 3 + _WITH_ACK), acks=True, is_text=False)
+FAST_TCP: Final = Carrier("fast_tcp", yarp_number(_BINARY_CARRIERS + 3), acks=False, is_text=False)
+TEXT: Final = Carrier("text", b"CONNECT ", acks=False, is_text=True)
+TEXT_ACK: Final = Carrier("text_ack", b"CONNACK ", acks=True, is_text=True)
+NAME_SER: Final = Carrier("name_ser", b"NAME_SER", acks=False, is_text=True)
+
+OUTPUT_CARRIERS: Final = {carrier.name: carrier for carrier in (TCP, FAST_TCP, TEXT, TEXT_ACK)}
+_SPOKEN: Final = ", ".join(OUTPUT_CARRIERS)
+
+_TEXT_HEADERS: Final = {carrier.header: carrier for carrier in (TEXT, TEXT_ACK, NAME_SER)}
+_FOREIGN_HEADERS: Final = {
+    b"GET /?ac": "mjpeg",
+    b"GET /?ws": "websocket",
+    b"GET /": "http",
+    b"POST /fo": "http",
+    b"UNIX_STR": "unix_stream",
+    b"HUMANITY": "human",
+}
+_FOREIGN_CODES: Final = {0: "udp", 1: "mcast", 14: "shmem"}  # the code's low four bits
+
+UNKNOWN_HEADER_ANSWER: Final = (
+    b"* Error. Protocol not found.\r\n"
+    b"* Hello. You appear to be trying to communicate with a YARP Port.\r\n"
+    b"* The first 8 bytes sent to a YARP Port are critical for identifying the\r\n"
+    b"* protocol you wish to speak.\r\n"
+    b"* The first 8 bytes you sent were not associated with any particular protocol.\r\n"
+    b'* If you are a human, try typing "CONNECT foo" followed by a <RETURN>.\r\n'
+    b'* The 8 bytes "CONNECT " correspond to a simple text-mode protocol.\r\n'
+    b"* Goodbye.\r\n"
+)
+
+
+class UnknownCarrierError(DecodeError):
+    """The first eight bytes choose no carrier that we speak."""
+
+
+def choose_carrier(header: bytes) -> Carrier:
+    """Return the carrier that the first eight bytes of a connection choose.
+
+    Raises:
+        UnknownCarrierError: None that we speak.
+    """
+    if header in _TEXT_HEADERS:
+        return _TEXT_HEADERS[header]
+    number = parse_number(header)
+    if number is None:
+        for begin, name in _FOREIGN_HEADERS.items():
+            if header.startswith(begin):
+                raise _foreign(name)
+        raise UnknownCarrierError(f"the first 8 bytes {header!r} choose no YARP carrier")
+    code = number - _BINARY_CARRIERS
+    if code % 16 == 3:
+        return TCP if code & _WITH_ACK else FAST_TCP
+    if code % 16 in _FOREIGN_CODES:
+        raise _foreign(_FOREIGN_CODES[code % 16])
+    raise UnknownCarrierError(f"the first 8 bytes choose a YARP carrier of unknown code {code}")
+
+
+def _foreign(name: str) -> UnknownCarrierError:
+    return UnknownCarrierError(f"carrier {name} is not spoken here; use one of {_SPOKEN}")
+
+
+def parse_carrier(text: str) -> tuple[Carrier, list[str]]:
+    """Return the carrier and the modifiers of a text such as `tcp+log.in`.
+
+    Raises:
+        EncodeError: We cannot send over it.
+    """
+    name, *modifiers = text.split("+")
+    if name not in OUTPUT_CARRIERS:
+        raise EncodeError(f"cannot send over carrier {name!r}; use one of {_SPOKEN}")
+    for modifier in modifiers:
+        if modifier.partition(".")[0] in ("recv", "send", "log"):
+            raise EncodeError(f"carrier modifier {modifier!r} needs a YARP plug-in; leave it out")
+    return OUTPUT_CARRIERS[name], modifiers
+
+
+# --- greetings -------------------------------------------------------------------------------
+
+_MAX_NAME_BYTES: Final = 1000
+_MODIFIER: Final = re.compile(r"\(([^()]*)\)")
+
+
+def greeting(carrier: Carrier, sender: str, modifiers: Sequence[str] = ()) -> bytes:
+    """Return what the side that opens the connection sends first.
+
+    Raises:
+        EncodeError: The name is too long for a greeting, or holds control characters.
+    """
+    lists = [f" ({modifier.replace('.', ' ', 1)})" for modifier in modifiers]
+    name = _line_bytes(sender + "".join(lists), "sender name")
+    if not 0 < len(name) < _MAX_NAME_BYTES:
+        raise EncodeError(f"a sender name has 1 to {_MAX_NAME_BYTES - 1} bytes, not {len(name)}")
+    if carrier.is_text:
+        return carrier.header + name + b"\r\n"
+    return carrier.header + _I32.pack(len(name) + 1) + name + b"\0"
+
+
+def welcome(carrier: Carrier, sender: str, own_tcp_port: int) -> bytes:
+    """Return the answer to a greeting."""
+    if carrier is NAME_SER:
+        return b""
+    return text_line(f"Welcome {sender}") if carrier.is_text else yarp_number(own_tcp_port)
+
+
+def _parse_sender(raw: bytes) -> tuple[str, list[str]]:
+    """Return name and modifiers of a sender that calls itself `/name (key value) (key)`."""
+    text = _decoded(raw)
+    modifiers = [".".join(words.split()) for words in _MODIFIER.findall(text)]
+    return text.partition(" ")[0], modifiers
+
+
+# --- messages --------------------------------------------------------------------------------
+
+_REVERSE: Final = "r"
+_QUIT: Final = "q"
+_SMALL_BYTES: Final = 16 * 1024
+
+
+def _short_command(letter: str) -> bytes:
+    return struct.pack("<i4s", 0, b"~" + letter.encode() + b"\0\1")
+
+
+def _long_command(text: bytes) -> bytes:
+    return struct.pack("<i4s", len(text) + 1, b"~\0\0\1") + text + b"\0"
+
+
+_SHORT_COMMANDS: Final = {letter: _short_command(letter) for letter in ("D", "d", "a", _REVERSE)}
+_LETTERS: Final = {ord(letter): letter for letter in _SHORT_COMMANDS}
+
+
+def command(letter: str, envelope: str = "") -> bytes:
+    """Return the block that begins a binary message: `D` data, `d` call, `a` administration.
+
+    Raises:
+        EncodeError: The envelope holds control characters, which YARP would cut it at.
+    """
+    if not envelope:
+        return _SHORT_COMMANDS[letter]
+    return _long_command(_line_bytes(f"{letter} {envelope}", "envelope"))
+
+
+def binary_message(command_block: bytes, payload: Sequence[Buffer]) -> list[Buffer]:
+    """Return the buffers to send; small ones are joined, large ones are those of the caller.
+
+    Raises:
+        EncodeError: The payload is larger than a YARP message can be.
+    """
+    size = sum(map(len, payload))
+    if size >= 2**31:
+        raise EncodeError(f"a YARP message has at most {2**31 - 1} bytes, not {size}")
+    sizes = (len(command_block), size) if size else (len(command_block),)
+    index = struct.pack(f"<8s2s8s{len(sizes) + 1}i", _INDEX, bytes((len(sizes), 1)), b"\xff" * 8,
+                        *sizes, 0)  # fmt: skip
+    buffers: list[Buffer] = []
+    small: list[Buffer] = [index, command_block]
+    for part in payload:
+        if len(part) <= _SMALL_BYTES:
+            small.append(part)
+        else:
+            buffers += (b"".join(small), part) if small else (part,)
+            small = []
+    return [*buffers, b"".join(small)] if small else buffers
+
+
+def quit_message(carrier: Carrier) -> bytes:
+    """Return the message with which a writer leaves."""
+    if carrier.is_text:
+        return b"q\r\n"
+    return b"".join(binary_message(_long_command(_QUIT.encode()), ()))
+
+
+def reverse_message() -> bytes:
+    """Return the binary message that asks an output port to send over this connection."""
+    return b"".join(binary_message(_SHORT_COMMANDS[_REVERSE], ()))
+
+
+def text_line(text: str) -> bytes:
+    """Return a line as the text carriers send it."""
+    return text.encode("utf-8", "surrogateescape") + b"\r\n"
+
+
+def text_message(letter: str, envelope: str, text: str) -> bytes:
+    """Return a message of the text carriers."""
+    begin = _line_bytes(f"{letter} {envelope}" if envelope else letter, "envelope")
+    return begin + b"\r\n" + text_line(text)
+
+
+def _line_bytes(text: str, what: str) -> bytes:
+    if not text.isprintable():
+        for character in text:
+            if character < " ":
+                raise EncodeError(f"the {what} {text!r} holds the control character {character!r}")
+    return text.encode("utf-8", "surrogateescape")
+
+
+def _decoded(raw: Buffer) -> str:
+    return str(raw, "utf-8", "surrogateescape")
+
+
+# --- receiving -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Greeting:
+    """A peer has chosen its carrier and said its name."""
+
+    carrier: Carrier
+    sender: str
+    modifiers: list[str]
+
+
+@dataclass(slots=True)
+class Message:
+    """One message; on text carriers also a line that is not one, such as `Welcome` or `<ACK>`.
+
+    Attributes:
+        command: Letter and what follows it, such as `D` or `D 41 1234.5`.
+        payload: The object in binary, or the text of a bottle.
+    """
+
+    command: str
+    payload: memoryview | str
+
+    @property
+    def envelope(self) -> str:
+        """The text beside the payload."""
+        return self.command[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A YARP number between messages: the answer to a greeting, or an ack (0)."""
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class CallReply:
+    """The reply to a call, None where there was only an ack."""
+
+    values: list[Value] | None
+
+
+Event: TypeAlias = Greeting | Message | Number | CallReply
+
+_SCRATCH_BYTES: Final = 64 * 1024
+_MAX_COMMAND_BYTES: Final = 64 * 1024
+_MAX_CONTINUED_LINES: Final = 100
+
+
+class Receiver:
+    """Cuts what a peer sends into events.
+
+    Fill `get_buffer()`, say how much with `buffer_updated()`, then take `next_event()` until it
+    is None. A large message is received into a buffer of its own, which its payload then is.
+    All methods that parse raise DecodeError on what breaks the stream.
+
+    Args:
+        limits: What the peer may send.
+        dialled: The carrier of a connection that we opened; None if the peer greets us.
+    """
+
+    def __init__(self, limits: PeerLimits, dialled: Carrier | None = None) -> None:
+        self._limits = limits
+        self._scratch = bytearray(_SCRATCH_BYTES)
+        self._view = memoryview(self._scratch)
+        self._begin = self._end = 0  # of what lies unread in the scratch
+        self._large: bytearray | None = None
+        self._filled = 0
+        self._pending = bytearray()  # the begin of a line or of a reply
+        self._text_command: str | None = None  # of which the payload line has not come yet
+        self._text_payload = ""
+        self._text_lines = 0
+        self._reply_dialect = Dialect.V3
+        self._step: Callable[[], Event | None] = self._greeting
+        if dialled is not None:
+            self._step = self._text if dialled.is_text else self._binary
+
+    @property
+    def full(self) -> bool:
+        """Nothing more can be received before events are taken."""
+        if self._large is not None:
+            return self._filled == len(self._large)
+        return self._end - self._begin == _SCRATCH_BYTES
+
+    def get_buffer(self) -> memoryview:
+        """Return where the next bytes belong; do not call it when `full`."""
+        if self._large is not None:
+            return memoryview(self._large)[self._filled :]
+        if self._begin == self._end:
+            self._begin = self._end = 0
+        elif _SCRATCH_BYTES - self._end < _SCRATCH_BYTES // 2:
+            rest = self._scratch[self._begin : self._end]
+            self._begin, self._end = 0, len(rest)
+            self._view[: self._end] = rest
+        return self._view[self._end :]
+
+    def buffer_updated(self, count: int) -> None:
+        """Note that `count` bytes were written into the buffer."""
+        if self._large is not None:
+            self._filled += count
+        else:
+            self._end += count
+
+    def next_event(self) -> Event | None:
+        """Return what came next, or None until there is more."""
+        return self._step()
+
+    def expect_replies(self, dialect: Dialect) -> None:
+        """Read the replies to our calls from now on."""
+        self._reply_dialect = dialect
+        self._step = self._reply
+
+    def _greeting(self) -> Event | None:
+        have = self._end - self._begin
+        if have < 8:
+            return None
+        carrier = choose_carrier(bytes(self._view[self._begin : self._begin + 8]))
+        if carrier is NAME_SER:
+            self._begin += 8
+            self._step = self._name_ser
+            return Greeting(carrier, "anon", [])
+        name = self._greeting_line() if carrier.is_text else self._greeting_block(have)
+        if name is None:
+            return None
+        self._step = self._text if carrier.is_text else self._binary
+        return Greeting(carrier, *_parse_sender(name))
+
+    def _greeting_line(self) -> bytes | None:
+        begin = self._begin + 8
+        end = self._scratch.find(b"\n", begin, self._end)
+        if end - begin >= _MAX_NAME_BYTES or (end < 0 and self._end - begin > _MAX_NAME_BYTES):
+            raise DecodeError(f"the sender name is longer than {_MAX_NAME_BYTES} bytes")
+        if end < 0:
+            return None
+        self._begin = end + 1
+        return bytes(self._view[begin:end]).rstrip(b"\r")
+
+    def _greeting_block(self, have: int) -> bytes | None:
+        if have < 12:
+            return None
+        (length,) = _I32.unpack_from(self._scratch, self._begin + 8)
+        if not 1 <= length <= _MAX_NAME_BYTES:
+            raise DecodeError(
+                f"the sender announces a name of {length} bytes; 1 to {_MAX_NAME_BYTES} can be"
+            )
+        if have < 12 + length:
+            return None
+        begin = self._begin + 12
+        self._begin = begin + length
+        return bytes(self._view[begin : begin + length]).partition(b"\0")[0]
+
+    def _binary(self) -> Event | None:
+        large = self._large
+        if large is not None:
+            if self._filled < len(large):
+                return None
+            self._large = None
+            return _parse_message(large)
+        scratch, begin = self._scratch, self._begin
+        have = self._end - begin
+        if have < 8:
+            return None
+        if not scratch.startswith(_INDEX, begin):
+            return self._number()
+        if have < 18:
+            return None
+        blocks, outputs = scratch[begin + 8], scratch[begin + 9]
+        start = begin + 18 + 4 * (blocks + outputs)
+        if self._end < start:
+            return None
+        total = self._total(struct.unpack_from(f"<{blocks}i", scratch, begin + 18))
+        end = start + total
+        if end <= self._end:
+            self._begin = end
+            return _parse_message(bytes(self._view[start:end]))
+        if total > _SMALL_BYTES:
+            self._receive_large(total, start)
+        return None
+
+    def _number(self) -> Number:
+        value = parse_number(self._scratch, self._begin)
+        if value is None:
+            raw = bytes(self._view[self._begin : self._begin + 8])
+            raise DecodeError(f"a message must begin with a YARP number, not with {raw!r}")
+        self._begin += 8
+        return Number(value)
+
+    def _total(self, sizes: tuple[int, ...]) -> int:
+        if min(sizes, default=0) < 0:
+            raise DecodeError(f"a message announces a block of {min(sizes)} bytes")
+        total = sum(sizes)
+        if total < 8:
+            raise DecodeError(f"a message of {total} bytes has no room for its command")
+        limit = self._limits.max_message_bytes
+        if total > limit:
+            raise DecodeError(f"a message announces {total} bytes; max_message_bytes is {limit}")
+        return total
+
+    def _receive_large(self, total: int, start: int) -> None:
+        self._large = bytearray(total)
+        self._filled = self._end - start
+        self._large[: self._filled] = self._view[start : self._end]
+        self._begin = self._end = 0
+
+    def _line(self) -> str | None:
+        end = self._scratch.find(b"\n", self._begin, self._end)
+        stop = self._end if end < 0 else end
+        self._pending += self._view[self._begin : stop]
+        self._begin = stop
+        if len(self._pending) > self._limits.max_text_bytes:
+            raise DecodeError(
+                f"a line is longer than max_text_bytes, {self._limits.max_text_bytes}"
+            )
+        if end < 0:
+            return None
+        self._begin += 1
+        line = _decoded(self._pending).removesuffix("\r")
+        self._pending.clear()
+        return line
+
+    def _text(self) -> Event | None:
+        while (line := self._line()) is not None:
+            if self._text_command is None:
+                if line[:1] not in ("D", "d", "a"):
+                    return Message(line, "")
+                self._text_command = line
+                continue
+            joined = join_lines(self._text_payload, line) if self._text_lines else line
+            self._text_lines += 1
+            if not is_complete(joined):
+                self._continue_text(joined)
+                continue
+            message = Message(self._text_command, joined)
+            self._text_command, self._text_payload, self._text_lines = None, "", 0
+            return message
+        return None
+
+    def _continue_text(self, text: str) -> None:
+        # A limit on lines as well, since every line is a look at all before it.
+        if self._text_lines > _MAX_CONTINUED_LINES or len(text) > self._limits.max_text_bytes:
+            raise DecodeError(
+                f"a bottle is still open after {self._text_lines} lines, {len(text)} characters"
+            )
+        self._text_payload = text
+
+    def _name_ser(self) -> Event | None:
+        line = self._line()
+        if line is None:
+            return None
+        # The eight bytes of the header have gone from the first line.
+        return Message("d", line.removeprefix("VER ").removeprefix("NAME_SERVER "))
+
+    def _reply(self) -> Event | None:
+        pending = self._pending
+        pending += self._view[self._begin : self._end]
+        self._begin = self._end
+        limit = self._limits.max_message_bytes
+        if len(pending) > limit:
+            raise DecodeError(f"a reply is longer than max_message_bytes, {limit}")
+        # The ack ends a reply; looking for it first spares parsing at every arrival.
+        if not pending.endswith(ACK):
+            return None
+        if len(pending) == len(ACK):
+            pending.clear()
+            return CallReply(None)
+        try:
+            values, end = decode_prefix(pending, 0, self._reply_dialect)
+        except Incomplete:
+            return None  # the reply holds the bytes of an ack
+        if end != len(pending) - len(ACK):
+            raise DecodeError(
+                f"a reply of {end} bytes should be followed by an ack, but "
+                f"{len(pending) - end} bytes came"
+            )
+        pending.clear()
+        return CallReply(values)
+
+
+def _parse_message(raw: bytes | bytearray) -> Message:
+    if raw[4] != 0x7E:
+        raise DecodeError(f"a message must begin with a port command, not with {bytes(raw[:8])!r}")
+    code = raw[5]
+    if code:
+        return Message(_LETTERS.get(code) or chr(code), memoryview(raw).toreadonly()[8:])
+    end = raw.find(0, 8, 8 + _MAX_COMMAND_BYTES)
+    if end < 0:
+        raise DecodeError(f"a port command does not end within {_MAX_COMMAND_BYTES} bytes")
+    return Message(_decoded(raw[8:end]), memoryview(raw).toreadonly()[end + 1 :])

@@ -1,0 +1,228 @@
+"""What a YARP port answers to the tools: `yarp connect`, `disconnect`, `exists`, `ping`, `admin`.
+
+The texts are those of YARP, since its tools and managers look into them.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from vertebra.errors import EncodeError, TransportError
+from vertebra.yarp.bottle import Dict, Value, Vocab
+from vertebra.yarp.link import Link, PortNotFoundError
+
+if TYPE_CHECKING:
+    from vertebra.yarp.switchboard import Switchboard
+
+_PROTOCOL_VERSION: Final = (1, 2, 3)
+_MAX_PROPERTIES: Final = 100
+
+_HELP: Final = (
+    "[help]                  # give this help",
+    "[ver]                   # report protocol version information",
+    "[add] $portname         # add an output connection",
+    "[add] $portname $car    # add an output with a given protocol",
+    "[del] $portname         # remove an input or output connection",
+    "[list] [in]             # list input connections",
+    "[list] [out]            # list output connections",
+    "[list] [in]  $portname  # give details for input",
+    "[list] [out] $portname  # give details for output",
+    "[prop] [get]            # get all user-defined port properties",
+    "[prop] [get] $prop      # get a user-defined port property (prop, val)",
+    "[prop] [set] $prop $val # set a user-defined port property (prop, val)",
+    "[get] [in]  $portname   # get carrier parameters of an input",
+    "[get] [out] $portname   # get carrier parameters of an output",
+)
+
+TEXT_HELP: Final = (
+    "This is a YARP board.  Here are the commands it responds to:",
+    "*       Gives a description of this port",
+    "d       Signals the beginning of input for the port's owner",
+    'do      The same as "d" except replies should be suppressed ("data-only")',
+    "q       Disconnects",
+    "r       Reverse connection type to be a reader",
+    "/port   Requests to send output to /port",
+    "!/port  Requests to stop sending output to /port",
+    "~/port  Requests to stop receiving input from /port",
+    "a       Signals the beginning of an administrative message",
+    "?       Gives this help",
+)
+NOT_UNDERSTOOD: Final = (
+    "Port command not understood.",
+    "Type d to send data to the port's owner.",
+    "Type ? for help.",
+)
+
+
+def fail(reason: str) -> list[Value]:
+    """Return the reply by which YARP programs say no."""
+    return [Vocab("fail"), reason]
+
+
+async def administer(board: Switchboard, request: Sequence[Value]) -> list[Value]:
+    """Return the reply to an administrative message."""
+    match [_word(value) for value in request[:3]]:
+        case ["help", *_]:
+            return [Vocab("many"), *_HELP]
+        case ["ver", *_]:
+            return [Vocab("ver"), *_PROTOCOL_VERSION]
+        case ["add", dest, *carrier]:
+            return _said(*await connect(board, dest, *carrier))
+        case ["del", peer, *_]:
+            return _said(*_disconnect(board, peer))
+        case ["list", direction, peer]:
+            return _details(board, direction, peer)
+        case ["list", *direction]:
+            return [link.peer for link in _links(board, *direction)]
+        case ["prop", "get", *key]:
+            return _property(board, *key)
+        case ["prop", "set", key] if len(request) > 3:
+            return _set_property(board, key, request[3])
+        case ["get", direction, peer]:
+            return [Dict()] if _named(_links(board, direction), peer) else _said(*_no_link(peer))
+        case ["set", direction, peer]:
+            if _named(_links(board, direction), peer):
+                return _said(True, f"Configured connection from {peer}\r\n")  # noqa: FBT003
+            return _said(*_no_link(peer))
+    return fail("send [help] for list of valid commands")
+
+
+def describe(board: Switchboard) -> list[str]:
+    """Return the lines that `yarp ping` shows."""
+    where = board.contact
+    lines = [f"This is {board.name} at {where.carrier}://{where.host}:{where.tcp_port}/"]
+    lines += [
+        f"There is an output connection from {board.name} to {link.peer} using {link.carrier}"
+        for link in board.outputs
+    ] or ["There are no outgoing connections"]
+    lines += [
+        f"There is an input connection from {link.peer} to {board.name} using {link.carrier}"
+        for link in board.inputs
+    ] or ["There are no incoming connections"]
+    return lines
+
+
+async def obey(board: Switchboard, command: str) -> list[str]:
+    """Return the lines that answer what a person types on a text carrier."""
+    if command == "*":
+        return describe(board)
+    if command == "?":
+        return [*TEXT_HELP]
+    if command.startswith("/"):
+        return [_line(await connect(board, command))]
+    if command.startswith("!/"):
+        return [_line(disconnect_output(board, command[1:]))]
+    if command.startswith("~/"):
+        return [_line(disconnect_input(board, command[1:]))]
+    return [*NOT_UNDERSTOOD]
+
+
+async def connect(board: Switchboard, dest: str, carrier: str = "") -> tuple[bool, str]:
+    """Connect to `tcp://name` or `/name`; return success and the text about it."""
+    before, separator, after = dest.partition("://")
+    name, carrier = (f"/{after}", before) if separator else (dest, carrier or "tcp")
+    target = f"{carrier}:/{name}"
+    try:
+        await board.connect(name, carrier)
+    except EncodeError as error:
+        return False, f"Cannot connect to {target}: {error}\r\n"
+    except PortNotFoundError:
+        return False, f"Do not know how to connect to {dest}\r\n"
+    except TransportError as error:
+        return False, f"Cannot connect to {target}: {error}\r\n"
+    return True, f"Added connection from {board.name} to {target}\r\n"
+
+
+def disconnect_output(board: Switchboard, peer: str) -> tuple[bool, str]:
+    """Drop the output to `peer`; return success and the text about it."""
+    if board.drop_output(peer):
+        return True, f"Removed connection from {board.name} to {peer}\r\n"
+    return False, f"Could not find an outgoing connection to {peer}\r\n"
+
+
+def disconnect_input(board: Switchboard, peer: str) -> tuple[bool, str]:
+    """Drop the input from `peer`; return success and the text about it."""
+    if board.drop_input(peer):
+        return True, f"Removing connection from {peer} to {board.name}\r\n"
+    return False, f"Could not find an incoming connection from {peer}\r\n"
+
+
+def _disconnect(board: Switchboard, peer: str) -> tuple[bool, str]:
+    done, about_output = disconnect_output(board, peer)
+    if done:
+        return done, about_output
+    done, about_input = disconnect_input(board, peer)
+    return done, about_input if done else about_output + about_input
+
+
+def _line(said: tuple[bool, str]) -> str:
+    return said[1].removesuffix("\r\n")
+
+
+def _said(success: bool, text: str) -> list[Value]:  # noqa: FBT001 -- made of what connect returns
+    return [0 if success else -1, text]
+
+
+def _word(value: Value) -> str:
+    # The words of a request come as vocabs or as strings.
+    return value if isinstance(value, str) else ""
+
+
+def _links(board: Switchboard, direction: str = "out") -> Sequence[Link]:
+    return board.inputs if direction == "in" else board.outputs
+
+
+def _named(links: Sequence[Link], peer: str) -> Link | None:
+    return next((link for link in links if link.peer == peer), None)
+
+
+def _no_link(peer: str) -> tuple[bool, str]:
+    return False, f"Could not find a connection to or from {peer}\r\n"
+
+
+def _details(board: Switchboard, direction: str, peer: str) -> list[Value]:
+    link = _named(_links(board, direction), peer)
+    if link is None:
+        return []
+    ends = (peer, board.name) if direction == "in" else (board.name, peer)
+    return [["from", ends[0]], ["to", ends[1]], ["carrier", link.carrier]]
+
+
+def _property(board: Switchboard, key: str = "") -> list[Value]:
+    if not key:
+        return [[name, value] for name, value in board.properties.items()]
+    if key == board.name:
+        return _process(board)
+    if _named([*board.inputs, *board.outputs], key):
+        unknown: list[Value] = [["policy", -1], ["priority", -1], ["tid", -1]]
+        return [["sched", Dict(unknown)], ["qos", Dict([["tos", 0]])]]
+    return [board.properties[key]] if key in board.properties else []
+
+
+def _set_property(board: Switchboard, key: str, value: Value) -> list[Value]:
+    if key not in board.properties and len(board.properties) == _MAX_PROPERTIES:
+        return fail(f"a port keeps at most {_MAX_PROPERTIES} properties")
+    board.properties[key] = value
+    return [Vocab("ok")]
+
+
+def _process(board: Switchboard) -> list[Value]:
+    # Without the arguments: who can reach the port need not know them.
+    scheduling: list[Value] = [["policy", 0], ["priority", 0]]
+    is_rpc = int(board.on_call is not None)
+    return [
+        ["sched", Dict([*scheduling, ["tid", threading.get_native_id()]])],
+        [
+            "process",
+            Dict([["arguments", ""], ["name", Path(sys.argv[0]).name], ["pid", os.getpid()],
+                  *scheduling]),
+        ],
+        ["platform", Dict([["hostname", platform.node()], ["os", platform.system()]])],
+        ["port", Dict([["is_input", 1], ["is_output", 1], ["is_rpc", is_rpc], ["type", ""]])],
+    ]  # fmt: skip
