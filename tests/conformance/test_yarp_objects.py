@@ -309,3 +309,31 @@ def test_images_have_the_sizes_of_the_real_library(golden: Golden) -> None:
     if "pixels" in facts:  # k-th byte of the picture without its padding
         expected = bytes(k % 251 for k in range(1, len(image.packed_pixels()) + 1))
         assert bytes(image.packed_pixels()) == expected
+
+
+# --- captured from running robots ------------------------------------------------------------
+
+CAPTURED = json.loads(
+    (Path(__file__).parent / "yarp" / "captured-3.12.json").read_text(encoding="utf-8")
+)
+ACKNOWLEDGEMENT = bytes.fromhex("5941000000005250")
+
+
+@pytest.mark.parametrize("call", CAPTURED["calls"], ids=lambda call: call["command"])
+def test_commands_that_people_typed_and_what_robots_replied(call: dict[str, str]) -> None:
+    assert bottle.encode(from_text(call["command"])).hex() == call["request"]
+
+    stream = bytes.fromhex(call["reply"])
+    reply, end = bottle.decode_prefix(stream, 0)
+    assert stream[end:] == ACKNOWLEDGEMENT
+    assert bottle.encode(reply) == stream[:end]
+
+
+@pytest.mark.parametrize("message", CAPTURED["streams"], ids=lambda message: message["case"])
+def test_what_robots_streamed(message: dict[str, str]) -> None:
+    payload = bytes.fromhex(message["payload"])
+
+    assert DECODERS[message["type"]](payload, Dialect.V3).encode(Dialect.V3) == payload
+    if message["envelope"]:
+        stamp = objects.Stamp.from_envelope(message["envelope"])
+        assert stamp.to_envelope() == message["envelope"]

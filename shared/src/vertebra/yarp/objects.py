@@ -450,7 +450,8 @@ class Sound:
                 f"{len(payload) - _SOUND.size} bytes",
             )
         samples = _filled(array("h"), memoryview(payload)[_SOUND.size : end])
-        return cls(frequency_hz, channels, samples, bytes_per_sample, bytes(payload[end:]))
+        markers = bytes(payload[end:]) or _NO_MARKERS
+        return cls(frequency_hz, channels, samples, bytes_per_sample, markers)
 
 
 @dataclass(frozen=True, slots=True)
