@@ -1,0 +1,1 @@
+"""The YARP adapter: YARP ports, RPC and control boards on the backbone."""

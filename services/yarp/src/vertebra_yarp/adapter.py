@@ -1,0 +1,156 @@
+"""The adapter: which routes there are now, and how they come and go."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from pathlib import Path
+from typing import Final
+
+from vertebra.bus import Closeable, Reply, Request
+from vertebra.errors import ConfigError, TransportError
+from vertebra.keys import map_name, unmap_name
+from vertebra.service import Context
+from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
+from vertebra_yarp.carried import Carried, Kit
+from vertebra_yarp.driver import Transport, native_driver
+from vertebra_yarp.part import Part
+from vertebra_yarp.routes import Call, ControlBoard, Routes, Stream, read_routes
+from vertebra_yarp.settings import YarpSettings
+from vertebra_yarp.streams import InboundStream, OutboundStream
+
+log = logging.getLogger(__name__)
+
+MIRROR_PREFIX: Final = "yarp"
+"""YARP ports that no route claims are below this chunk."""
+LOOK_EVERY_S: Final = 2.0
+
+
+async def serve(context: Context[YarpSettings]) -> None:
+    """Carry routes until cancelled."""
+    settings = context.settings
+    routes = read_routes(settings.routes)
+    async with native_driver(
+        name_server=settings.name_server,
+        serve_names_on=settings.name_server_bind,
+        bind_host=settings.bind_host,
+        advertise_host=settings.advertise_host,
+    ) as transport:
+        adapter = Adapter(context, transport)
+        try:
+            await adapter.carry(routes)
+            context.ready()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(adapter.follow_names())
+                if settings.routes is not None:
+                    tasks.create_task(adapter.follow_file(settings.routes))
+        finally:
+            await adapter.close()
+
+
+class Adapter:
+    """All routes that are carried now, and how they come and go."""
+
+    def __init__(self, context: Context[YarpSettings], transport: Transport) -> None:
+        self.context = context
+        self.transport = transport
+        self._kit = Kit(context, transport)
+        self._explicit: dict[Stream | Call | ControlBoard, Carried] = {}
+        self._mirrored: dict[str, InboundStream] = {}
+        self._served_mirror: Closeable | None = None
+        if context.settings.automatic:
+            self._served_mirror = context.bus.serve(f"{MIRROR_PREFIX}/**", self._call_mirrored)
+
+    async def carry(self, routes: Routes) -> None:
+        """Carry exactly these explicit routes: those that stay are not touched."""
+        wanted = set(routes)
+        for route in [route for route in self._explicit if route not in wanted]:
+            await self._explicit.pop(route).close()
+            self.context.routes.pop(route.yarp, None)
+            log.info("route %s ends", route.yarp)
+        for route in wanted - self._explicit.keys():
+            mirrored = self._mirrored.pop(route.yarp, None)
+            if mirrored is not None:
+                await mirrored.close()
+            self._explicit[route] = carried = make(self._kit, route)
+            carried.start()
+            self.context.routes[route.yarp] = route.key
+            log.info("route %s <-> %s", route.yarp, route.key)
+
+    async def follow_names(self) -> None:
+        """Mirror the YARP ports that no route claims, as they come and go."""
+        while True:
+            try:
+                contacts = await self.transport.list_ports()
+            except TransportError as error:
+                self.context.report("name server", "error", str(error))
+            else:
+                self.context.report("name server", "ok")
+                if self.context.settings.automatic:
+                    await self._mirror({contact.name for contact in contacts})
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    async def _mirror(self, names: set[str]) -> None:
+        own = self.context.settings.prefix
+        claimed = {route.yarp for route in self._explicit}
+        claimed |= {
+            f"{route.yarp}/{leaf}"
+            for route in self._explicit
+            if isinstance(route, ControlBoard)
+            for leaf in ("state:o", "rpc:i")
+        }
+        wanted = {
+            name
+            for name in names - claimed
+            if name.startswith("/") and not name.startswith(f"{own}/") and name != "/root"
+        }
+        for name in self._mirrored.keys() - wanted:
+            await self._mirrored.pop(name).close()
+            self.context.routes.pop(name, None)
+        for name in wanted - self._mirrored.keys():
+            route = Stream(yarp=name, key=map_name(MIRROR_PREFIX, name))
+            self._mirrored[name] = InboundStream(self._kit, route)
+            self._mirrored[name].start()
+            self.context.routes[name] = route.key
+
+    async def follow_file(self, path: Path) -> None:
+        """Take over changes of the routes file; a faulty one is reported and changes nothing."""
+        seen_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
+        while True:
+            await asyncio.sleep(LOOK_EVERY_S)
+            try:
+                now_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
+                if now_ns == seen_ns:
+                    continue
+                seen_ns = now_ns
+                await self.carry(await asyncio.to_thread(read_routes, path))
+            except (OSError, ConfigError) as error:
+                self.context.report("routes", "warning", f"kept as they were: {error}")
+            else:
+                self.context.report("routes", "ok")
+
+    async def _call_mirrored(self, request: Request) -> Reply:
+        name = unmap_name(MIRROR_PREFIX, request.key)
+        caller = await self.transport.dial(name)
+        try:
+            return await call_yarp(caller, request)
+        finally:
+            await caller.close()
+
+    async def close(self) -> None:
+        """End all routes."""
+        if self._served_mirror is not None:
+            self._served_mirror.close()
+        for carried in [*self._explicit.values(), *self._mirrored.values()]:
+            await carried.close()
+
+
+def make(kit: Kit, route: Stream | Call | ControlBoard) -> Carried:
+    """Return what carries a route."""
+    if isinstance(route, ControlBoard):
+        return Part(kit, route)
+    if isinstance(route, Stream):
+        kind = InboundStream if route.direction == "inbound" else OutboundStream
+        return kind(kit, route)
+    inbound = route.direction == "inbound"
+    return InboundCall(kit, route) if inbound else OutboundCall(kit, route)

@@ -1,0 +1,156 @@
+"""How the adapter reaches YARP: one interface, and the driver that needs no YARP installation."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from typing import Protocol
+
+from vertebra.errors import ConfigError
+from vertebra.yarp import (
+    Contact,
+    Counters,
+    Delivery,
+    NameClient,
+    NameServer,
+    OnCall,
+    OnData,
+    Port,
+    Reader,
+    RpcClient,
+    Value,
+)
+from vertebra.yarp.wire import Buffer
+
+
+class Connection(Protocol):
+    """A connection that was made and may be lost."""
+
+    async def wait_closed(self) -> str:
+        """Return why it ended, when it has."""
+        ...
+
+    async def close(self) -> None:
+        """End it; harmless when repeated."""
+        ...
+
+
+class Caller(Connection, Protocol):
+    """A connection to a YARP RPC port."""
+
+    async def call(self, values: Sequence[Value], *, timeout_s: float) -> list[Value]:
+        """Send a bottle and return the reply; see `RpcClient.call`."""
+        ...
+
+
+class Writer(Protocol):
+    """A YARP port of ours that others read."""
+
+    @property
+    def sent(self) -> Counters:
+        """What left, and what was let go."""
+        ...
+
+    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
+        """Send one object to all readers, without waiting; see `Port.write`."""
+        ...
+
+    async def close(self) -> None:
+        """Unregister it and close its connections."""
+        ...
+
+
+class Transport(Protocol):
+    """What the adapter needs of YARP; raises `TransportError` when a peer is away."""
+
+    async def list_ports(self) -> list[Contact]:
+        """Return all registered YARP ports."""
+        ...
+
+    async def read(self, source: str, reader_name: str, on_data: OnData) -> Connection:
+        """Receive what the output port `source` sends."""
+        ...
+
+    async def dial(self, name: str) -> Caller:
+        """Connect to the RPC port `name`."""
+        ...
+
+    async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Writer:
+        """Open an output port that others connect to readers, or read in reverse."""
+        ...
+
+    async def open_server(self, name: str, on_call: OnCall) -> Writer:
+        """Open an RPC port."""
+        ...
+
+
+class NativeDriver:
+    """`Transport` on our own implementation of the wire protocol."""
+
+    def __init__(self, names: NameClient, *, bind_host: str, advertise_host: str | None) -> None:
+        self._names = names
+        self._bind_host = bind_host
+        self._advertise_host = advertise_host
+
+    async def list_ports(self) -> list[Contact]:
+        """See `Transport.list_ports`."""
+        return await self._names.list_ports()
+
+    async def read(self, source: str, reader_name: str, on_data: OnData) -> Reader:
+        """See `Transport.read`: by reverse connection, so that the robot opens nothing for us."""
+        return await Reader.dial(source, self._names, on_data=on_data, reader_name=reader_name)
+
+    async def dial(self, name: str) -> RpcClient:
+        """See `Transport.dial`."""
+        return await RpcClient.connect(name, self._names)
+
+    async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Port:
+        """See `Transport.open_writer`."""
+        return await Port.open(
+            name,
+            self._names,
+            delivery=delivery,
+            depth=depth,
+            bind_host=self._bind_host,
+            advertise_host=self._advertise_host,
+        )
+
+    async def open_server(self, name: str, on_call: OnCall) -> Port:
+        """See `Transport.open_server`."""
+        return await Port.open(
+            name,
+            self._names,
+            on_call=on_call,
+            bind_host=self._bind_host,
+            advertise_host=self._advertise_host,
+        )
+
+
+@contextlib.asynccontextmanager
+async def native_driver(
+    *, name_server: str, serve_names_on: str, bind_host: str, advertise_host: str
+) -> AsyncIterator[NativeDriver]:
+    """Yield a driver on an external name server, or on the built-in one if `name_server` is empty.
+
+    Raises:
+        ConfigError: An address is malformed or taken.
+    """
+    advertised = advertise_host or None
+    if name_server:
+        host, tcp_port = split_address(name_server)
+        names = NameClient(host, tcp_port)
+        yield NativeDriver(names, bind_host=bind_host, advertise_host=advertised)
+        return
+    host, tcp_port = split_address(serve_names_on)
+    async with await NameServer.start(
+        bind_host=host, tcp_port=tcp_port, advertise_host=advertised
+    ) as server:
+        yield NativeDriver(server.client(), bind_host=bind_host, advertise_host=advertised)
+
+
+def split_address(address: str) -> tuple[str, int]:
+    """Return host and tcp_port of `host:tcp_port`; raise `ConfigError`."""
+    host, colon, tcp_port = address.rpartition(":")
+    if not colon or not host or not tcp_port.isdecimal() or int(tcp_port) > 65535:
+        raise ConfigError(f"{address!r} is not of the form host:tcp_port, such as 127.0.0.1:10000")
+    return host, int(tcp_port)

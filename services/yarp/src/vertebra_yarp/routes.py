@@ -1,0 +1,154 @@
+"""Routes: which YARP name is which key; read from YAML, with errors that point at the line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+import yaml
+from msgspec import Struct
+
+from vertebra.errors import ConfigError, VertebraError
+from vertebra.keys import check_key
+from vertebra.yarp.names import check_name
+
+Direction = Literal["inbound", "outbound"]
+StreamType = Literal["auto", "Image", "Imu", "JointState", "Tensor", "Bottle", "Text"]
+_KINDS: Final = ("streams", "calls", "control_boards")
+
+
+class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Messages one way between a YARP port and a key.
+
+    Attributes:
+        yarp: The YARP port: the robot's output port (inbound), or one that we open (outbound).
+        key: Where the messages are on the backbone.
+        type: What they are; `auto` tells by their bytes.
+        direction: `inbound` is from YARP to the backbone.
+        delivery: What an outbound route keeps for a slow reader.
+        depth: How many messages of it.
+        max_rate_hz: Thins the stream out; 0 carries everything.
+    """
+
+    yarp: str
+    key: str
+    type: StreamType = "auto"
+    direction: Direction = "inbound"
+    delivery: Literal["latest", "queue"] = "latest"
+    depth: int = 1
+    max_rate_hz: float = 0.0
+
+
+class Call(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Calls one way: a YARP RPC port that is called by its key, or a key called through YARP.
+
+    Attributes:
+        yarp: The robot's RPC port (inbound), or one that we open (outbound).
+        key: Served by us (inbound), or called by us (outbound).
+        direction: `inbound` offers what YARP has on the backbone.
+        timeout_s: Deadline of an outbound call; inbound ones bring their own.
+    """
+
+    yarp: str
+    key: str
+    direction: Direction = "inbound"
+    timeout_s: float = 5.0
+
+
+class ControlBoard(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A robot part behind YARP's control board server.
+
+    Attributes:
+        yarp: Name of the part, such as `/icub/head`; its ports are `/icub/head/state:o` and so on.
+        key: Where the part is on the backbone: `<key>/state`, and the calls `limits`, `move`,
+            `stop`.
+    """
+
+    yarp: str
+    key: str
+
+
+class Routes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All explicit routes of the adapter."""
+
+    streams: tuple[Stream, ...] = ()
+    calls: tuple[Call, ...] = ()
+    control_boards: tuple[ControlBoard, ...] = ()
+
+    def __iter__(self) -> Iterator[Stream | Call | ControlBoard]:
+        yield from self.streams
+        yield from self.calls
+        yield from self.control_boards
+
+
+def read_routes(path: Path | None) -> Routes:
+    """Return the routes in a YAML file, none if `path` is None.
+
+    Raises:
+        ConfigError: A line is wrong; the text says which and why.
+    """
+    if path is None:
+        return Routes()
+    try:
+        return parse_routes(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise ConfigError(f"the routes in {str(path)!r} cannot be read: {error}") from error
+
+
+def parse_routes(text: str, where: str) -> Routes:
+    """Return the routes in YAML text; `where` names it in errors. Raises `ConfigError`."""
+    try:
+        root = yaml.compose(text, yaml.SafeLoader)
+        document = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{where} is no YAML: {error}") from error
+    if document is None:
+        return Routes()
+    if not isinstance(document, dict) or not document.keys() <= set(_KINDS):
+        raise ConfigError(f"{where}: expected a map with the keys {', '.join(_KINDS)}")
+    found: dict[str, list[Any]] = {kind: [] for kind in _KINDS}
+    taken: dict[tuple[str, str], int] = {}
+    for kind, item, line in _items(root, document):
+        try:
+            route = _route(kind, item)
+            check_name(route.yarp)
+            check_key(route.key)
+        except (msgspec.ValidationError, VertebraError) as error:
+            raise ConfigError(f"{where}:{line}: {error}") from error
+        direction = getattr(route, "direction", "inbound")
+        for claim in ((direction, f"YARP port {route.yarp}"), (direction, f"key {route.key}")):
+            first = taken.setdefault(claim, line)
+            if first != line:
+                raise ConfigError(f"{where}:{line}: {claim[1]} has a route in line {first} already")
+        found[kind].append(route)
+    return Routes(
+        streams=tuple(found["streams"]),
+        calls=tuple(found["calls"]),
+        control_boards=tuple(found["control_boards"]),
+    )
+
+
+def _route(kind: str, item: Any) -> Stream | Call | ControlBoard:
+    wanted: dict[str, type[Stream | Call | ControlBoard]] = {
+        "streams": Stream,
+        "calls": Call,
+        "control_boards": ControlBoard,
+    }
+    return msgspec.convert(item, wanted[kind])
+
+
+def _items(root: yaml.Node | None, document: Mapping[str, Any]) -> Iterator[tuple[str, Any, int]]:
+    if not isinstance(root, yaml.MappingNode):
+        return
+    for key_node, value_node in root.value:
+        kind = str(key_node.value)
+        items = document[kind]
+        if items is None:
+            continue
+        if not isinstance(value_node, yaml.SequenceNode):
+            line = value_node.start_mark.line + 1
+            raise ConfigError(f"line {line}: {kind} is a list of routes")
+        for node, item in zip(value_node.value, items, strict=True):
+            yield kind, item, node.start_mark.line + 1

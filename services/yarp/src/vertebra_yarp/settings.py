@@ -1,0 +1,34 @@
+"""Settings of the YARP adapter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import SettingsConfigDict
+
+from vertebra.service import ServiceSettings
+
+
+class YarpSettings(ServiceSettings):
+    """YARP ports, RPC and control boards on the backbone."""
+
+    model_config = SettingsConfigDict(env_prefix="VERTEBRA_YARP_")
+
+    name_server: str = Field(
+        "", description="host:tcp_port of the lab's yarpserver; empty starts the built-in one."
+    )
+    name_server_bind: str = Field(
+        "127.0.0.1:10000", description="host:tcp_port on which the built-in name server listens."
+    )
+    bind_host: str = Field("127.0.0.1", description="Interface on which our own YARP ports listen.")
+    advertise_host: str = Field(
+        "", description="Address under which others reach our YARP ports; empty finds it."
+    )
+    routes: Path | None = Field(None, description="YAML file with the explicit routes.")
+    automatic: bool = Field(
+        default=True, description="Show every YARP port that no route claims below `yarp/`."
+    )
+    prefix: str = Field(
+        "/vertebra", description="Our own YARP ports are named below this.", pattern="^/"
+    )
