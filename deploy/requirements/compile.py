@@ -21,6 +21,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PYTHON_FLOOR = "3.11"
+CONSTRAINTS = ["backports-strenum<1.3"]  # 1.3.1 is for Python < 3.11, a bound that uv ignores
 HEADER = "# Made by deploy/requirements/compile.py from {source}. Do not edit.\n"
 
 
@@ -89,7 +90,7 @@ def main() -> None:
             common.write_text(
                 "".join(file.read_text(encoding="utf-8") for file in HERE.glob("*.txt"))
             )
-        resolve("\n".join(text for _, text in sets.values()), common)
+        resolve("\n".join([*CONSTRAINTS, *(text for _, text in sets.values())]), common)
         for name, (source, text) in sets.items():
             pins = resolve(
                 text, Path(folder, f"{name}.txt"), "--generate-hashes", "--constraint", str(common)
