@@ -58,8 +58,15 @@ def test_a_vector_is_the_bottle_of_its_numbers(values: list[float]) -> None:
     assert Vector.of(values).encode() == bottle.encode(values)
 
 
+def test_arrays_of_other_types_are_converted_or_refused() -> None:
+    assert Vector(array("f", [1.5])).encode() == Vector.of([1.5]).encode()
+    assert Sound(1, 1, array("i", [7])).encode() == Sound(1, 1, array("h", [7])).encode()
+    with pytest.raises(EncodeError, match="an array of 'i' is none of 'h'"):
+        Sound(1, 1, array("i", [40_000])).encode()
+
+
 def test_vectors_of_the_other_dialect_are_refused() -> None:
-    with pytest.raises(DecodeError, match=r"begins with 0x114, not 0x10a as in Dialect.V3"):
+    with pytest.raises(DecodeError, match=r"begins with 0x114, not 0x10a as in YARP 3"):
         Vector.decode(Vector.of([1.0]).encode(Dialect.V4), Dialect.V3)
 
 

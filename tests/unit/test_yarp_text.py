@@ -135,7 +135,7 @@ def test_integers_beyond_32_bits_say_so() -> None:
     ]
 
 
-@pytest.mark.parametrize("value", [Vocab("abcde"), Vocab64("ab"), None, {}])
+@pytest.mark.parametrize("value", [Vocab("abcde"), Vocab64("ab"), None, {}, 2**63])
 def test_values_without_a_text_are_refused(value: Value) -> None:
     with pytest.raises(EncodeError):
         to_text([[value]])

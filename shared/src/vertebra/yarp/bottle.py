@@ -160,7 +160,7 @@ def decode(
     if end != len(payload):
         raise DecodeError(
             f"bottle ends at byte {end}, but {len(payload) - end} bytes follow: "
-            f"not a bottle, or not of the dialect {dialect.name}"
+            f"it is no bottle, or its sender does not speak {dialect}"
         )
     return values
 
@@ -226,9 +226,8 @@ def _element(value: Value, dialect: Dialect, depth: int) -> tuple[int, bytes]:
     try:
         return write(value, dialect, depth)
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
-        raise EncodeError(
-            f"{value!r} does not fit a YARP {type(value).__name__}: {error}"
-        ) from None
+        shown = f"{value!r:.80}"
+        raise EncodeError(f"{shown} does not fit a YARP {type(value).__name__}: {error}") from None
 
 
 def _writer_for(value: object) -> _Writer:
@@ -437,8 +436,8 @@ class _Reader:
                 return Dict(self.bottle(depth + 1))
             return self._items(tag & _UNIT_MASK, depth + 1)
         raise DecodeError(
-            f"unknown type tag {tag} before byte {self.offset}: damaged, or not of the dialect "
-            f"{self._dialect.name}"
+            f"unknown type tag {tag} before byte {self.offset}: the bottle is damaged, or its "
+            f"sender does not speak {self._dialect}"
         )
 
     def _single(self, scalar: _Scalar) -> Value:

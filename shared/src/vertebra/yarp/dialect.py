@@ -30,3 +30,6 @@ class Dialect(Enum):
         self.float32 = float32
         self.float64 = float64
         self.vocab64 = vocab64
+
+    def __str__(self) -> str:
+        return f"YARP {self.name[1:]}"

@@ -44,13 +44,25 @@ def _as_bytes(numbers: array[_N]) -> bytes:
     return numbers.tobytes()
 
 
-def _vector(tag: int, numbers: array[_N]) -> bytes:
+def _of_type(code: str, numbers: array[_N]) -> array[_N]:
+    """Return the numbers in the type that the wire has; an array of another one is converted."""
+    if numbers.typecode == code:
+        return numbers
+    try:
+        return array(code, numbers)
+    except (TypeError, OverflowError) as error:
+        raise EncodeError(
+            f"an array of {numbers.typecode!r} is none of {code!r}: {error}"
+        ) from None
+
+
+def _vector(tag: int, code: str, numbers: array[_N]) -> bytes:
     """Return a list of numbers as YARP's vectors write it: with their tag even if it is empty."""
-    return _TWO_I32.pack(LIST + tag, len(numbers)) + _as_bytes(numbers)
+    return _TWO_I32.pack(LIST + tag, len(numbers)) + _as_bytes(_of_type(code, numbers))
 
 
 def _floats(values: array[float], dialect: Dialect) -> bytes:
-    return _vector(dialect.float64, values)
+    return _vector(dialect.float64, "d", values)
 
 
 def _pack(what: str, layout: struct.Struct, *values: object) -> bytes:
@@ -421,7 +433,7 @@ class Sound:
             "sound", _SOUND, LIST, 6 if is_v4 else 5, INT32, length, INT32, self.channels,
             INT32, self.bytes_per_sample, INT32, self.frequency_hz, LIST + INT16, len(self.samples),
         )  # fmt: skip
-        return header + _as_bytes(self.samples) + (self.markers if is_v4 else b"")
+        return header + _as_bytes(_of_type("h", self.samples)) + (self.markers if is_v4 else b"")
 
     @classmethod
     def decode(cls, payload: Buffer, dialect: Dialect = Dialect.V3) -> Self:
@@ -538,7 +550,7 @@ class JointData:
             if isinstance(item, JointModes):
                 parts.append(_modes(item.words))
             elif dialect is Dialect.V4 and name in _SINGLE_PRECISION:
-                parts.append(_vector(dialect.float32, array("f", item.values)))
+                parts.append(_vector(dialect.float32, "f", item.values))
             else:
                 parts.append(_floats(item.values, dialect))
             parts.append(_I32.pack(VOCAB32) + _FLAGS[item.ok])
@@ -570,7 +582,7 @@ _JOINT_FIELDS: Final = {Dialect.V3: _ALL_JOINT_FIELDS[:-1], Dialect.V4: _ALL_JOI
 
 def _modes(words: Sequence[Vocab]) -> bytes:
     try:
-        return _vector(INT32, array("i", [word.code for word in words]))
+        return _vector(INT32, "i", array("i", [word.code for word in words]))
     except OverflowError:
         raise EncodeError(f"modes have at most four letters: {words!r}") from None
 

@@ -72,7 +72,7 @@ def _printed(value: Value, dialect: Dialect) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
-        return int.__repr__(value)
+        return _printed_int(value)
     if isinstance(value, float):
         return _printed_float(value)
     if isinstance(value, bytes):
@@ -94,6 +94,12 @@ def _printed_string(value: str) -> str:
     if _BARE_STRING.fullmatch(value) and value not in ("true", "false"):
         return value
     return f'"{value.translate(_ESCAPES)}"'
+
+
+def _printed_int(value: int) -> str:
+    if not -(2**63) <= value < 2**63:
+        raise EncodeError(f"an integer of {value.bit_length()} bits does not fit a bottle: 64 do")
+    return int.__repr__(value)
 
 
 def _printed_float(value: float) -> str:
