@@ -14,6 +14,7 @@ from vertebra.messages import (
     MESSAGES,
     Array,
     CompressedImage,
+    Foreign,
     Header,
     Message,
     Native,
@@ -78,7 +79,7 @@ def to_json_value(message: Message) -> Any:
             message,
             builtin_types=(bytes, bytearray, memoryview),
             str_keys=True,
-            enc_hook=_json_of_array,
+            enc_hook=_json_of,
         )
         return _without_bytes(plain)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -87,13 +88,15 @@ def to_json_value(message: Message) -> Any:
         raise EncodeError(f"{type(message).__name__} has no JSON: {error}") from error
 
 
-def _json_of_array(value: Any) -> Any:
+def _json_of(value: Any) -> Any:
+    if isinstance(value, Foreign):
+        return {"tag": value.tag, "plain": value.plain}
     if not isinstance(value, Array):
         raise EncodeError(
             f"a value of type {type(value).__qualname__} has no JSON; "
             "send it in a frame, or convert it to plain lists"
         )
-    if math.prod(value.shape) > MAX_JSON_ITEMS:
+    if math.prod(length or 1 for length in value.shape) > MAX_JSON_ITEMS:  # (10**9, 0) is long too
         raise EncodeError(
             f"an array of shape {value.shape} has more than {MAX_JSON_ITEMS} items; "
             "ask for the frame encoding instead of JSON"

@@ -166,6 +166,12 @@ class FrameCodec:
             f"the fields of this {header.schema}",
             lambda: msgspec.msgpack.decode(header.fields, type=message_type, ext_hook=unpack),
         )
+        if unused:  # a later minor version may have arrays in fields that are unknown here
+            unused = set(range(len(buffers)))
+            _guarded(
+                f"the fields of this {header.schema}",
+                lambda: msgspec.msgpack.decode(header.fields, ext_hook=unpack),
+            )
         if unused:
             raise DecodeError(f"buffer {min(unused)} of {len(buffers)} is not used by any array")
         return message, Header(

@@ -11,7 +11,9 @@ from typing_extensions import Buffer
 
 from vertebra.errors import EncodeError
 
-_DTYPE: Final = re.compile(r"([<>|])([biufcmMSUV])(\d+)(\[\w+\])?")
+MAX_AXES: Final = 64
+"""As many as NumPy knows; also bounds what it costs to check the shape of a foreign array."""
+_DTYPE: Final = re.compile(r"([<>|])([biufcmMSUV])([0-9]{1,9})(\[[A-Za-z0-9]+\])?")
 _NATIVE: Final = "<" if sys.byteorder == "little" else ">"
 _FORMAT_KINDS: Final = {
     **dict.fromkeys("bhilqn", "i"),
@@ -60,8 +62,12 @@ class Array:
         view = memoryview(data)
         if view.format != "B" or view.ndim != 1:
             view = view.cast("B")
+        if len(shape) > MAX_AXES:
+            raise ValueError(f"an array has at most {MAX_AXES} axes, not {len(shape)}")
+        if min(shape, default=0) < 0:
+            raise ValueError(f"an array has no axis of length {min(shape)}")
         expected = item_bytes(dtype) * math.prod(shape)
-        if min(shape, default=0) < 0 or view.nbytes != expected:
+        if view.nbytes != expected:
             raise ValueError(
                 f"an array of type {dtype!r} and shape {shape} has {expected} bytes, "
                 f"not {view.nbytes}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from msgspec import Struct, field
+from msgspec import field
 
 from vertebra.messages.array import Array
 from vertebra.messages.message import Message
@@ -46,16 +46,35 @@ class Native(Message, frozen=True, kw_only=True):
     value: Any
 
 
-class Foreign(Struct, frozen=True, kw_only=True):
+class Foreign:
     """A library's value whose codec plugin is not installed here; it can be sent on unchanged.
+
+    It is no msgspec Struct, because those are written as maps before a codec can see them.
 
     Attributes:
         tag: Names the plugin and type, for example `numpy.ndarray`.
         plain: The packed form, as the plugin made it.
     """
 
+    __slots__ = ("plain", "tag")
+
     tag: str
     plain: Any
+
+    def __init__(self, *, tag: str, plain: Any) -> None:
+        self.tag = tag
+        self.plain = plain
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Foreign):
+            return NotImplemented
+        return (self.tag, self.plain) == (other.tag, other.plain)
+
+    def __hash__(self) -> int:
+        return hash(self.tag)
+
+    def __repr__(self) -> str:
+        return f"Foreign(tag={self.tag!r}, plain={self.plain!r})"
 
 
 class Status(Message, frozen=True, kw_only=True):
