@@ -213,8 +213,9 @@ async def run_service(name: str, settings: S, serve: Serve[S], *, bus: Bus | Non
     Raises:
         VertebraError: What stopped it; an error in any of its tasks does.
     """
+    codecs = await asyncio.to_thread(CodecRegistry.installed)
     if bus is None:
-        _beat(name, "waiting for the router")
+        await _beat(name, "waiting for the router")
         waiting = asyncio.create_task(_keep_beating(name))
         try:
             bus = await ZenohBus.open(settings.router, shared_memory=settings.shared_memory)
@@ -226,7 +227,7 @@ async def run_service(name: str, settings: S, serve: Serve[S], *, bus: Bus | Non
                 name=name,
                 settings=settings,
                 bus=bus,
-                codecs=CodecRegistry.installed(),
+                codecs=codecs,
                 tasks=tasks,
             )
             _declare(context)
@@ -278,7 +279,7 @@ async def _beat_and_tell(context: Context[Any]) -> None:
     publisher = context.publisher(context.key("status"), priority=Priority.CONTROL)
     while True:
         status = context.status()
-        _beat(context.name, status.text if status.level == "error" else "")
+        await _beat(context.name, status.text if status.level == "error" else "")
         publisher.publish(status)
         await asyncio.sleep(_BEAT_EVERY_S)
 
@@ -286,12 +287,12 @@ async def _beat_and_tell(context: Context[Any]) -> None:
 async def _keep_beating(name: str) -> None:
     while True:
         await asyncio.sleep(_BEAT_EVERY_S)
-        _beat(name, "waiting for the router")
+        await _beat(name, "waiting for the router")
 
 
-def _beat(name: str, problem: str) -> None:
+async def _beat(name: str, problem: str) -> None:
     try:
-        heartbeat.beat(name, problem)
+        await asyncio.to_thread(heartbeat.beat, name, problem)
     except OSError as error:
         raise ConfigError(
             f"the heartbeat cannot be written: {error}; set VERTEBRA_HEARTBEAT_DIR to a folder "
