@@ -42,7 +42,7 @@ def open_backend(name: str, model: str = "", *, min_score: float = 0.5) -> Detec
     """Open a backend; see the module's words on models."""
     wanted = model or ("blazeface-full-range" if name == "blazeface" else "")
     if wanted:
-        if "live" in os.environ.get("VERTEBRA_REQUIRE", ""):
+        if "live" in os.environ.get("VERTEBRA_REQUIRE", "").split(","):
             fetch([wanted], MODELS)
         try:
             load_model(wanted, MODELS)

@@ -11,13 +11,17 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from vertebra.errors import ConfigError
+from vertebra.errors import ConfigError, VertebraError
 from vertebra.messages import Box
 
 ENTRY_POINT_GROUP = "vertebra.face_detectors"
 
 RgbImage = NDArray[np.uint8]
 """An image of shape (height, width, 3), channels red, green, blue."""
+
+
+class DetectorError(VertebraError):
+    """A detector failed on one image; it may do better on the next."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,7 @@ class Tracker:
         self._ids = ids
 
     def update(self, detections: Sequence[Detection], captured_ns: int) -> list[TrackedFace]:
-        """Take what was detected in the next image and return the faces that are in it.
+        """Take what was detected in the next image and return the faces in it, oldest id first.
 
         Args:
             detections: Of one image, boxes hardly overlapping.
@@ -119,11 +119,12 @@ class Tracker:
         for track, _ in seen:
             if track.track_id is None and track.hits >= confirm_hits:
                 track.track_id = next(self._ids)
-        return [
+        faces = [
             TrackedFace(track.track_id, detection, _seconds(now_ns - track.born_ns))
             for track, detection in seen
             if track.track_id is not None
         ]
+        return sorted(faces, key=lambda face: face.track_id)
 
 
 def _match(
@@ -164,7 +165,7 @@ def _among(track: _Track, seen: list[tuple[_Track, Detection]]) -> bool:
 
 def _row(detection: Detection) -> Floats:
     box = detection.box
-    return np.array([box.x, box.y, box.width, box.height])
+    return np.array([box.x, box.y, box.width, box.height], np.float64)
 
 
 def _centre(box: Floats) -> Floats:
