@@ -1,0 +1,30 @@
+"""Settings of the simulator."""
+
+from __future__ import annotations
+
+from pydantic import Field
+from pydantic_settings import SettingsConfigDict
+
+from vertebra.service import ServiceSettings
+
+
+class SimulatorSettings(ServiceSettings):
+    """A robot on the real YARP wire: a head with joints, a camera and an IMU."""
+
+    model_config = SettingsConfigDict(env_prefix="VERTEBRA_SIMULATOR_")
+
+    name_server: str = Field(
+        "127.0.0.1:10000",
+        description="host:tcp_port of the YARP name server; the simulator waits for it.",
+        pattern=r"^[^\s:]+:[0-9]{1,5}$",
+    )
+    robot: str = Field(
+        "vizzy",
+        description="Name of the robot, with which the names of its YARP ports begin.",
+        pattern=r"^[A-Za-z0-9_.-]+$",
+    )
+    bind_host: str = Field("127.0.0.1", description="Interface on which the YARP ports listen.")
+    advertise_host: str = Field(
+        "", description="Address under which others reach the YARP ports; empty finds it."
+    )
+    camera_rate_hz: float = Field(30.0, description="Images per second.", gt=0, le=100)
