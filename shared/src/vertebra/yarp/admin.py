@@ -41,7 +41,7 @@ _HELP: Final = (
 )
 
 TEXT_HELP: Final = (
-    "This is a YARP board.  Here are the commands it responds to:",
+    "This is a YARP port.  Here are the commands it responds to:",
     "*       Gives a description of this port",
     "d       Signals the beginning of input for the port's owner",
     'do      The same as "d" except replies should be suppressed ("data-only")',

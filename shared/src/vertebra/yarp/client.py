@@ -25,6 +25,7 @@ from vertebra.yarp.wire import (
     PeerLimits,
     binary_message,
     command,
+    quit_message,
     reverse_message,
 )
 
@@ -162,6 +163,12 @@ class RpcClient(Link):
             raise DeadlineError(f"YARP port {self.peer}", timeout_s) from None
         finally:
             self._calls -= 1
+
+    async def close(self) -> None:
+        """Tell the port, then end the connection; a call that waits fails."""
+        if self._reply is None:
+            self._connection.write(quit_message(TCP))
+        await super().close()
 
     async def __aenter__(self) -> Self:
         return self
