@@ -77,17 +77,21 @@ class _FaceTracking:
         self._images = context.bus.subscribe(settings.input, Delivery.latest())
         self._reader = MessageReader(self._images, context.codecs, Image)
         context.routes[settings.input] = f"{settings.input}/{RESULT}"
-        self._analysed = context.counter("faces_images", "Images whose faces were published")
-        self._failed = context.counter("faces_failed_images", "Images that could not be analysed")
-        self._inference_s = context.gauge("faces_inference_s", "Time the last image took")
-        self._age_s = context.gauge("faces_age_s", "Time from the last image to its result")
+        self._analysed = context.counter(
+            "face_tracking_images", "Images whose faces were published"
+        )
+        self._failed = context.counter(
+            "face_tracking_failed_images", "Images that could not be analysed"
+        )
+        self._inference_s = context.gauge("face_tracking_inference_s", "Time the last image took")
+        self._age_s = context.gauge("face_tracking_age_s", "Time from the last image to its result")
         context.gauge(
-            "faces_dropped_images",
+            "face_tracking_dropped_images",
             "Images let go because newer ones came first",
             lambda: self._images.dropped,
         )
         context.gauge(
-            "faces_lost_images", "Images lost on the way to here", lambda: self._images.lost
+            "face_tracking_lost_images", "Images lost on the way to here", lambda: self._images.lost
         )
 
     async def run(self) -> None:
