@@ -54,6 +54,7 @@ def engine() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DOCKER_HOST", run(ENGINE, "start", timeout_s=INSTALL_TIMEOUT_S).strip())
         patch.setenv("TESTCONTAINERS_RYUK_DISABLED", "true")  # its image is in a registry
+        patch.setenv("COMPOSE_ANSI", "never")
         yield
     if ours:
         run(ENGINE, "stop")
@@ -68,7 +69,7 @@ def images(engine: None) -> None:
         if os.geteuid() != 0:
             pytest.skip(f"no {BASE_IMAGE} and no image registry; as root: deploy/base-image")
         run(ROOT / "deploy/base-image", timeout_s=INSTALL_TIMEOUT_S)
-    run("docker", "compose", "--profile", "*", "build", timeout_s=INSTALL_TIMEOUT_S)
+    run("docker", "compose", "--profile", "*", "build", "--quiet", timeout_s=INSTALL_TIMEOUT_S)
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +84,7 @@ def fleet(
     variables = {
         "COMPOSE_PROJECT_NAME": f"vertebra-e2e-{os.getpid()}",
         "VERTEBRA_SECRETS": str(folder),
-        "VERTEBRA_GATEWAY_PORT": str(tcp_port),
+        "VERTEBRA_GATEWAY_TCP_PORT": str(tcp_port),
     }
     settings = folder / "settings.env"
     settings.write_text("".join(f"{name}={value}\n" for name, value in variables.items()))
