@@ -570,6 +570,8 @@ class Receiver:
             values, end = decode_prefix(pending, 0, self._reply_dialect)
         except Incomplete:
             return None  # the reply holds the bytes of an ack
+        if end == len(pending):
+            return None  # it ends in them, and its own ack is to come
         if end != len(pending) - len(ACK):
             raise DecodeError(
                 f"a reply of {end} bytes should be followed by an ack, but "
