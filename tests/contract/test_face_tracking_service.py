@@ -335,7 +335,7 @@ async def test_the_rate_is_limited(
         elapsed_s = loop.time() - started_s
         filming.cancel()
 
-        assert elapsed_s >= 0.49
+        assert elapsed_s >= 0.44  # one image may be early
 
 
 async def test_a_service_without_its_model_is_up_and_says_what_mends_it(

@@ -97,12 +97,14 @@ class _FaceTracking:
     async def run(self) -> None:
         """Look at the newest image of each camera in turn."""
         interval_s = 1 / self._context.settings.max_rate_hz
+        due_s = 0.0
         self._context.ready()
         async with self._images:
             async for sample in self._images:
-                next_s = time.monotonic() + interval_s
+                # Counted from when this one was due: an image that came late delays no other.
+                due_s = max(due_s + interval_s, time.monotonic())
                 await self._look(sample)
-                await asyncio.sleep(max(0.0, next_s - time.monotonic()))
+                await asyncio.sleep(max(0.0, due_s - time.monotonic()))
 
     async def _look(self, sample: Sample) -> None:
         camera = self._camera(sample.key)

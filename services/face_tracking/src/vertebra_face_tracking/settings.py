@@ -38,7 +38,7 @@ class FaceTrackingSettings(ServiceSettings):
         description="How long a hidden face keeps its id; more than the time between two images.",
     )
     max_rate_hz: float = Field(
-        30.0, gt=0, description="Images per second that are looked at, all cameras together."
+        60.0, gt=0, description="Images per second that are looked at, all cameras together."
     )
 
     @field_validator("input")
