@@ -52,6 +52,7 @@ class Context(Generic[S]):
         tasks: Where its tasks live; one that fails stops the service.
         metrics: Where its Prometheus metrics live.
         routes: What it carries, for its info; foreign name to key.
+        news: Set when the status has to be told before its time.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Context(Generic[S]):
     tasks: asyncio.TaskGroup
     metrics: CollectorRegistry = field(default_factory=CollectorRegistry)
     routes: dict[str, str] = field(default_factory=dict)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
     _problems: dict[str, tuple[Literal["warning", "error"], str]] = field(default_factory=dict)
     _values: dict[str, Callable[[], float]] = field(default_factory=dict)
     _ready: bool = False
@@ -90,6 +92,7 @@ class Context(Generic[S]):
     def ready(self) -> None:
         """Say that the service does its work from now on."""
         self._ready = True
+        self.news.set()
         log.info("ready")
 
     def report(self, what: str, level: Literal["ok", "warning", "error"], text: str = "") -> None:
@@ -278,10 +281,12 @@ async def _beat_and_tell(context: Context[Any]) -> None:
     """Write the heartbeat and publish the status; a loop that is blocked does neither."""
     publisher = context.publisher(context.key("status"), priority=Priority.CONTROL)
     while True:
+        context.news.clear()
         status = context.status()
         await _beat(context.name, status.text if status.level == "error" else "")
         publisher.publish(status)
-        await asyncio.sleep(_BEAT_EVERY_S)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(context.news.wait(), _BEAT_EVERY_S)
 
 
 async def _keep_beating(name: str) -> None:

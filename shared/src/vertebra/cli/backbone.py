@@ -1,0 +1,100 @@
+"""What the commands that talk to a running fleet have in common."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, Final
+
+import msgspec
+import yaml
+
+from vertebra.bus import DEFAULT_ROUTER, ZenohBus
+from vertebra.errors import ConfigError, DeadlineError, NotConnectedError
+from vertebra.messages import Array, Message
+from vertebra.service.logs import configure_logs
+
+JSON_ENCODING: Final = "application/json"
+_OPEN_TIMEOUT_S: Final = 3.0
+_SHOWN_ITEMS: Final = 32
+
+Command = Callable[[argparse.Namespace], Awaitable[int]]
+
+
+def on_backbone(parser: argparse.ArgumentParser, command: Command) -> None:
+    """Make `command` what `parser` runs, and let the user say where the router is."""
+    parser.add_argument(
+        "--router",
+        default=os.environ.get("VERTEBRA_ROUTER") or DEFAULT_ROUTER,
+        help="Zenoh locator of the router (default: VERTEBRA_ROUTER, or %(default)s)",
+    )
+    parser.set_defaults(run=lambda arguments: asyncio.run(_run(command, arguments)))
+
+
+async def _run(command: Command, arguments: argparse.Namespace) -> int:
+    configure_logs("vertebra", "error", "text")
+    return await command(arguments)
+
+
+@asynccontextmanager
+async def backbone(router: str) -> AsyncIterator[ZenohBus]:
+    """Be a member of the backbone while the block runs.
+
+    Raises:
+        NotConnectedError: No router answers there.
+    """
+    try:
+        bus = await ZenohBus.open(router, shared_memory=False, timeout_s=_OPEN_TIMEOUT_S)
+    except DeadlineError as error:
+        raise NotConnectedError(
+            f"{error}; start the fleet with ./vertebra up, or name its router with --router "
+            "(inside containers: docker compose exec gateway python -m vertebra.cli ...)"
+        ) from error
+    try:
+        yield bus
+    finally:
+        await bus.close()
+
+
+def read_json(text: str) -> Any:
+    """Return the value in a JSON text that the user typed; raise `ConfigError`."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{text!r} is not JSON: {error}") from error
+
+
+def readable(message: Message) -> Any:
+    """Return the fields of a message as plain values; large arrays only in words."""
+    return msgspec.to_builtins(
+        message, builtin_types=(bytes, bytearray), str_keys=True, enc_hook=_plain
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Array):
+        return value.tolist() if _is_short(value) else f"<{value!r}, {value.nbytes} bytes>"
+    return f"<{type(value).__qualname__}>"
+
+
+def _is_short(array: Array) -> bool:
+    items = 1
+    for length in array.shape:
+        items *= length
+    return items <= _SHOWN_ITEMS and array.dtype[1:] in {"u1", "u2", "i2", "i4", "i8", "f4", "f8"}
+
+
+def as_yaml(value: Any) -> str:
+    """Return plain values as YAML for people."""
+    return yaml.safe_dump(value, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows as text with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    return "\n".join(lines)

@@ -1,0 +1,92 @@
+"""`doctor`: what is wrong with this machine or the fleet on it, and what mends it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from vertebra import __version__
+from vertebra.bus import ZenohBus
+from vertebra.cli import checks, up
+from vertebra.cli.backbone import on_backbone, table
+from vertebra.cli.checkout import checkout, state_folder
+from vertebra.cli.checks import Finding
+from vertebra.cli.fleet import active_variables, read_fleet
+from vertebra.errors import DeadlineError
+from vertebra.keys import CONTROL_PREFIX
+
+_ROUTER_TIMEOUT_S: Final = 1.5
+_START: Final = "start the fleet: ./vertebra up"
+
+
+def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Describe the command."""
+    parser = commands.add_parser("doctor", help="say what is wrong here and how to mend it")
+    on_backbone(parser, _run)
+
+
+async def _run(arguments: argparse.Namespace) -> int:
+    root = checkout()
+    findings = [
+        *_of_machine(root),
+        *[finding async for finding in _of_backbone(arguments.router)],
+        *checks.check_heartbeats(state_folder(root, "run")),
+    ]
+    print(table([(each.level, each.name, each.text) for each in findings]))
+    for each in findings:
+        if each.level != "ok":
+            print(f"\n{each.name}: {each.text}\n  -> {each.remedy}")
+    return int(any(each.level == "wrong" for each in findings))
+
+
+def _of_machine(root: Path) -> Iterator[Finding]:
+    yield checks.check_python()
+    text = (root / "compose.yaml").read_text(encoding="utf-8")
+    for address in up.listening_addresses(read_fleet(text, active_variables(root, os.environ))):
+        yield checks.check_tcp_port(
+            address.service, address.variable, address.host, address.tcp_port
+        )
+        if address.service == "yarp":
+            yield checks.check_tcp_server(
+                "YARP name server", address.host, address.tcp_port, remedy=_START
+            )
+    yield checks.check_multicast()
+    engine = "only containers need it: deploy/engine start"
+    yield checks.check_command(
+        "Docker engine", ["docker", "version", "--format", "{{.Server.Version}}"], remedy=engine
+    )
+    yield checks.check_command(
+        "Docker Compose", ["docker", "compose", "version", "--short"], remedy=engine
+    )
+    yield checks.check_cameras()
+    models = [sys.executable, "-m", "vertebra_face_tracking.models"]
+    folder = ["--into", str(up.models_folder(root))]
+    fetch = " ".join([*models, "fetch", *folder])
+    yield checks.check_command("face models", [*models, "verify", *folder], remedy=fetch)
+    for name, package in (("chromium", "chromium"), ("node", "nodejs")):
+        remedy = f"only tests need it: apt-get install {package}"
+        yield checks.check_command(name, [name, "--version"], remedy=remedy)
+
+
+async def _of_backbone(router: str) -> AsyncIterator[Finding]:
+    try:
+        bus = await ZenohBus.open(router, timeout_s=_ROUTER_TIMEOUT_S)
+    except DeadlineError as error:
+        yield Finding("router", "warning", str(error), _START)
+        return
+    try:
+        yield Finding("router", "ok", f"answers at {router}")
+        yield checks.check_shared_memory(bus.info().shared_memory)
+        info = f"{CONTROL_PREFIX}/services/*/*/info"
+        async for reply in bus.query(info, timeout_s=_ROUTER_TIMEOUT_S):
+            service = reply.key.split("/")[-3]
+            version = str(msgspec.json.decode(reply.payload).get("version"))
+            yield checks.check_version(service, version, __version__)
+    finally:
+        await bus.close()

@@ -1,0 +1,75 @@
+"""Who runs what on this machine: processes that hold TCP ports, and one `up` per checkout."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from vertebra.errors import ConfigError
+
+_LISTENING = "0A"  # state TCP_LISTEN in /proc/net/tcp
+
+
+def tcp_port_is_free(host: str, tcp_port: int) -> bool:
+    """Say whether this process could listen there now."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, tcp_port))
+            listener.listen()
+        except OSError:
+            return False
+    return True
+
+
+def holder_of(tcp_port: int) -> str:
+    """Name the process that listens on a TCP port, as far as /proc tells us."""
+    sockets = set(_listening_sockets(tcp_port))
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            targets = {os.readlink(entry) for entry in (process / "fd").iterdir()}  # noqa: PTH115
+            words = (process / "cmdline").read_bytes().split(b"\0")
+        except OSError:  # ended in the meantime, or belongs to somebody else
+            continue
+        if targets & sockets:
+            command = b" ".join(words).decode(errors="replace").strip()
+            return f"process {process.name} ({command})"
+    return "a process that this user may not see"
+
+
+def _listening_sockets(tcp_port: int) -> Iterator[str]:
+    for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
+        if not table.exists():
+            continue
+        for line in table.read_text(encoding="ascii").splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == _LISTENING and int(fields[1].rpartition(":")[2], 16) == tcp_port:
+                yield f"socket:[{fields[9]}]"
+
+
+@contextmanager
+def only_one(lock: Path) -> Iterator[None]:
+    """Hold `lock` while the block runs.
+
+    Raises:
+        ConfigError: Another process holds it; the text names that process.
+    """
+    with lock.open("a+", encoding="ascii") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            pid = file.read().strip()
+            raise ConfigError(
+                f"the fleet of this checkout runs already (process {pid}); use it, or stop it "
+                f"with Ctrl-C there or `kill {pid}`"
+            ) from error
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
