@@ -1,0 +1,1 @@
+"""The robots of the fleet on the web."""

@@ -1,0 +1,221 @@
+"""The robots as they are now: profile, presence, limits, and the way to call them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+import msgspec
+
+from vertebra.bus import Bus, PresenceEvent, Subscription
+from vertebra.codec import CodecRegistry, to_json_value
+from vertebra.errors import CodecError, DecodeError, NotConnectedError, TransportError
+from vertebra_gateway.commands import InputCheck, Limits, read_limits
+from vertebra_gateway.problems import ProblemError
+from vertebra_gateway.profile import Profile, Resource
+
+log = logging.getLogger(__name__)
+
+_ASK_EVERY_S: Final = 2.0
+_ASK_AGAIN_S: Final = 0.5
+_JSON: Final = "application/json"
+
+
+class Robot:
+    """One robot of the fleet.
+
+    Attributes:
+        profile: What it offers.
+        reason: Why it is not online; empty if it is.
+        limits: The limits of its calls, by path, as the robot told them last.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self.profile = profile
+        self.reason = "not asked yet"
+        self.limits: dict[str, Limits] = {}
+        self.checks = {
+            resource.path: InputCheck(resource)
+            for resource in profile.resources
+            if resource.kind == "call"
+        }
+
+    @property
+    def online(self) -> bool:
+        """Whether it can be reached now."""
+        return not self.reason
+
+    def require_online(self) -> None:
+        """Raise `NotConnectedError` with the reason if it is away."""
+        if self.reason:
+            raise NotConnectedError(f"robot {self.profile.robot!r} is away: {self.reason}")
+
+    def resource(self, path: str) -> Resource:
+        """Return the resource at `path`; raise `ProblemError` 404."""
+        found = self.profile.resource(path)
+        if found is None:
+            known = [resource.path for resource in self.profile.resources]
+            raise ProblemError(
+                404,
+                f"robot {self.profile.robot!r} has no resource {path!r}; known: {', '.join(known)}",
+                known=known,
+            )
+        return found
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the web is told about it."""
+        return {
+            "name": self.profile.robot,
+            "description": self.profile.description,
+            "online": self.online,
+            "reason": self.reason,
+            "resources": [
+                {
+                    "path": resource.path,
+                    "kind": resource.kind,
+                    "method": resource.http_method,
+                    "url": f"/api/robots/{self.profile.robot}/{resource.path}",
+                    "key": resource.key,
+                    "description": resource.description,
+                    "content_type": resource.content_type,
+                    "input": resource.input,
+                    "output": resource.output,
+                    "limits": msgspec.to_builtins(self.limits.get(resource.path)),
+                }
+                for resource in self.profile.resources
+            ],
+        }
+
+
+class Robots:
+    """All robots.
+
+    Attributes:
+        changed: Called when a robot comes, goes or changes; viewers add and remove theirs.
+    """
+
+    def __init__(self, bus: Bus, codecs: CodecRegistry, profiles: Iterable[Profile]) -> None:
+        self.changed: set[Callable[[], None]] = set()
+        self._bus = bus
+        self._codecs = codecs
+        self._robots = {profile.robot: Robot(profile) for profile in profiles}
+
+    def __iter__(self) -> Any:
+        return iter(self._robots.values())
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return what the web is told about all of them."""
+        return [robot.describe() for robot in self._robots.values()]
+
+    def robot(self, name: str) -> Robot:
+        """Return the robot of that name; raise `ProblemError` 404."""
+        robot = self._robots.get(name)
+        if robot is None:
+            known = sorted(self._robots)
+            raise ProblemError(
+                404, f"there is no robot {name!r}; known: {', '.join(known) or 'none'}", known=known
+            )
+        return robot
+
+    async def call(
+        self, robot_name: str, path: str, body: Any, timeout_s: float | None = None
+    ) -> Any:
+        """Have a robot do what the resource at `path` stands for; return its answer as JSON.
+
+        Raises:
+            ProblemError: There is no such robot, resource or call.
+            InputRefusedError: `body` is outside its schema or limits; the robot was not asked.
+            TransportError: The robot is away, busy, late, or answered with an error.
+        """
+        robot = self.robot(robot_name)
+        resource = robot.resource(path)
+        if resource.kind != "call":
+            raise ProblemError(405, f"{path!r} is a resource to read, not to call", allowed=["GET"])
+        robot.require_online()
+        robot.checks[path].check(body, robot.limits.get(path, {}))
+        deadline_s = min(timeout_s or resource.timeout_s, resource.timeout_s)
+        payload = msgspec.json.encode(body)
+        reply = await self._bus.call(resource.key, payload, encoding=_JSON, timeout_s=deadline_s)
+        return self._read(reply.payload, reply.encoding or _JSON)
+
+    def _read(self, payload: bytes, encoding: str) -> Any:
+        if encoding.partition(";")[0] != _JSON:
+            return to_json_value(self._codecs.decode(payload, encoding)[0])
+        try:
+            return msgspec.json.decode(payload)
+        except msgspec.DecodeError as error:
+            raise DecodeError(f"the robot's answer is no JSON: {error}") from error
+
+    async def follow(self) -> None:
+        """Keep all robots up to date, for ever."""
+        async with asyncio.TaskGroup() as tasks:
+            for robot in self._robots.values():
+                tasks.create_task(self._follow(robot))
+
+    async def _follow(self, robot: Robot) -> None:
+        present: set[str] = set()
+        news = asyncio.Event()
+        expression = robot.profile.presence
+        async with asyncio.TaskGroup() as tasks:
+            if expression:
+                watcher = self._bus.presence(expression)
+                tasks.create_task(_watch(watcher, present, news))
+            while True:
+                news.clear()
+                if expression and not present:
+                    self._update(robot, f"nobody is present at {expression}", robot.limits)
+                else:
+                    reason, limits = await self._ask(robot)
+                    self._update(robot, reason, limits)
+                try:
+                    async with asyncio.timeout(_ASK_EVERY_S if robot.online else _ASK_AGAIN_S):
+                        await news.wait()
+                except TimeoutError:
+                    continue
+
+    async def _ask(self, robot: Robot) -> tuple[str, dict[str, Limits]]:
+        """Fetch the limits of all calls; a robot that does not tell them is not online."""
+        if not self._bus.info().connected:
+            return "the gateway does not reach the router", robot.limits
+        limits: dict[str, Limits] = {}
+        answers: dict[str, bytes] = {}
+        for resource in robot.profile.resources:
+            source = resource.limits
+            if source is None:
+                continue
+            asked = robot.resource(source.source)
+            try:
+                if asked.key not in answers:
+                    reply = await self._bus.call(
+                        asked.key, b"{}", encoding=_JSON, timeout_s=asked.timeout_s
+                    )
+                    answers[asked.key] = reply.payload
+                limits[resource.path] = read_limits(answers[asked.key], source)
+            except (TransportError, CodecError) as error:
+                return str(error), robot.limits
+        return "", limits
+
+    def _update(self, robot: Robot, reason: str, limits: dict[str, Limits]) -> None:
+        if (reason, limits) == (robot.reason, robot.limits):
+            return
+        if not reason:
+            log.info("robot %s is online", robot.profile.robot)
+        elif robot.online:
+            log.warning("robot %s is away: %s", robot.profile.robot, reason)
+        robot.reason, robot.limits = reason, limits
+        for tell in tuple(self.changed):
+            tell()
+
+
+async def _watch(
+    watcher: Subscription[PresenceEvent], present: set[str], news: asyncio.Event
+) -> None:
+    async with watcher:
+        async for event in watcher:
+            if event.present:
+                present.add(event.key)
+            else:
+                present.discard(event.key)
+            news.set()

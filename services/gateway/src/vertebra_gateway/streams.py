@@ -1,0 +1,529 @@
+"""Streams of the backbone for many viewers: read once, encoded once, slow viewers slow nobody.
+
+One `Feed` per key expression holds the one subscription on the bus; one form of it per way to
+encode (`frame` as it is, `json`, `jpeg`) holds its viewers. Both end when their last viewer leaves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from abc import ABC, abstractmethod
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Final, Literal
+
+import msgspec
+
+from vertebra.bus import Bus, Delivery, Sample
+from vertebra.codec import CodecRegistry, to_json_value
+from vertebra.errors import CodecError, EncodeError, NotConnectedError
+from vertebra_gateway.pictures import to_jpeg
+
+FormName = Literal["frame", "json", "jpeg"]
+INTAKE_DEPTH: Final = 64
+"""Samples of each key that wait while the event loop is busy with other things."""
+MAX_KEYS: Final = 1024
+"""Keys whose newest value and numbers are kept for one key expression, and for one viewer."""
+
+
+class Item:
+    """One encoded sample, shared by all who look at it."""
+
+    __slots__ = ("arrived_s", "captured_ns", "encoding", "head", "key", "payload", "sent_ns")
+
+    def __init__(
+        self, key: str, encoding: str, payload: bytes, *, sent_ns: int, arrived_s: float
+    ) -> None:
+        self.key = key
+        self.encoding = encoding
+        self.payload = payload
+        self.sent_ns = sent_ns
+        self.arrived_s = arrived_s
+        self.captured_ns = sent_ns
+        self.head = b""
+
+    def encoded(self, encoding: str, payload: bytes, captured_ns: int) -> Item:
+        """Return the same sample in another encoding."""
+        item = Item(self.key, encoding, payload, sent_ns=self.sent_ns, arrived_s=self.arrived_s)
+        item.captured_ns = captured_ns or self.sent_ns
+        return item
+
+    @property
+    def age_s(self) -> float:
+        """How long ago it was true, or sent if that is all that is known."""
+        return (time.time_ns() - self.captured_ns) / 1e9
+
+
+class Outlet:
+    """What waits for one viewer: bounded, and what is let go is counted.
+
+    Delivery `latest` keeps the newest items of each key, `queue` refuses new ones when full.
+
+    Attributes:
+        dropped: Items let go because the viewer did not take them in time.
+        waiting: Items that wait.
+    """
+
+    __slots__ = (
+        "_delivery", "_due_s", "_in_flight", "_loop", "_on_refusal", "_period_s", "_queue",
+        "_refusal", "_slots", "_wake", "_window", "dropped", "waiting",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        wake: Callable[[], None],
+        *,
+        delivery: Delivery | None = None,
+        max_rate_hz: float = 0.0,
+        window: int = 0,
+        on_refusal: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """Keep items for a viewer.
+
+        Args:
+            wake: Called when `take` may give something.
+            delivery: What is kept; by default the newest item of each key.
+            max_rate_hz: Give at most so many items of each key in a second; 0 is no bound.
+            window: Give at most so many items before `acknowledge` is called; 0 is no bound.
+            on_refusal: Told why the items that come have no form for this viewer.
+        """
+        self.dropped = 0
+        self.waiting = 0
+        self._wake = wake
+        self._delivery = delivery or Delivery.latest()
+        self._period_s = 1.0 / max_rate_hz if max_rate_hz else 0.0
+        self._window = window
+        self._in_flight = 0
+        self._on_refusal = on_refusal
+        self._refusal = ""
+        self._queue: deque[Item] = deque()
+        self._slots: dict[str, deque[Item]] = {}
+        self._due_s: dict[str, float] = {}
+        self._loop = asyncio.get_running_loop()
+
+    def offer(self, item: Item) -> None:
+        """Take an item in, or let one go."""
+        self._refusal = ""
+        if self._delivery.policy == "queue":
+            if len(self._queue) >= self._delivery.depth:
+                self.dropped += 1
+                return
+            self._queue.append(item)
+            self.waiting += 1
+            self._wake()
+            return
+        slot = self._slots.get(item.key)
+        due_s = self._due_s.get(item.key, 0.0) if self._period_s else 0.0
+        early = due_s > 0.0 and due_s > self._loop.time()
+        if slot is None:
+            if len(self._slots) >= MAX_KEYS:
+                self.dropped += 1
+                return
+            slot = self._slots[item.key] = deque()
+            if early:
+                self._loop.call_at(due_s, self._wake)
+        elif len(slot) >= self._delivery.depth:
+            slot.popleft()
+            self.waiting -= 1
+            self.dropped += not early  # what the viewer's own rate limit skips is not lost
+        slot.append(item)
+        self.waiting += 1
+        if not early:
+            self._wake()
+
+    def take(self) -> Item | None:
+        """Return the next item, keys in turn, or None if none is due or the window is full."""
+        if self._window and self._in_flight >= self._window:
+            return None
+        item = self._queue.popleft() if self._queue else self._take_latest()
+        if item is not None:
+            self.waiting -= 1
+            self._in_flight += 1
+        return item
+
+    def _take_latest(self) -> Item | None:
+        now_s = self._loop.time() if self._period_s else 0.0
+        for key, slot in self._slots.items():
+            if self._period_s and self._due_s.get(key, 0.0) > now_s:
+                continue
+            item = slot.popleft()
+            del self._slots[key]
+            if slot:
+                self._slots[key] = slot
+            if self._period_s:
+                self._keep_pace(key, now_s)
+            return item
+        return None
+
+    def _keep_pace(self, key: str, now_s: float) -> None:
+        if len(self._due_s) >= MAX_KEYS:
+            self._due_s = {key: due_s for key, due_s in self._due_s.items() if due_s > now_s}
+        self._due_s[key] = now_s + self._period_s
+        if key in self._slots:
+            self._loop.call_at(self._due_s[key], self._wake)
+
+    def acknowledge(self) -> None:
+        """Make room in the window: the viewer has dealt with an item."""
+        self._in_flight = max(0, self._in_flight - 1)
+        if self.waiting:
+            self._wake()
+
+    def refuse(self, reason: str) -> None:
+        """Tell the viewer once why it gets nothing."""
+        if reason != self._refusal:
+            self._refusal = reason
+            self._on_refusal(reason)
+
+
+class _Form(ABC):
+    """The viewers of one key expression in one form."""
+
+    def __init__(self) -> None:
+        self.outlets: set[Outlet] = set()
+        self._newest: OrderedDict[str, Item] = OrderedDict()
+
+    @abstractmethod
+    def offer(self, item: Item) -> None:
+        """Take in a sample as it came from the bus."""
+
+    def close(self) -> None:  # noqa: B027  - most forms have nothing to end
+        """Stop working."""
+
+    def add(self, outlet: Outlet) -> None:
+        """Let a viewer in; it gets the newest value of each key at once."""
+        self.outlets.add(outlet)
+        for item in self._newest.values():
+            outlet.offer(item)
+
+    def _give(self, item: Item) -> None:
+        self._newest[item.key] = item
+        if len(self._newest) > MAX_KEYS:
+            self._newest.popitem(last=False)
+        for outlet in self.outlets:
+            outlet.offer(item)
+
+    def _refuse(self, item: Item, error: CodecError) -> None:
+        for outlet in self.outlets:
+            outlet.refuse(f"{item.key}: {error}")
+
+
+class _Frames(_Form):
+    def offer(self, item: Item) -> None:
+        self._give(item)
+
+
+class _Documents(_Form):
+    def __init__(self, codecs: CodecRegistry) -> None:
+        super().__init__()
+        self._codecs = codecs
+
+    def offer(self, item: Item) -> None:
+        try:
+            self._give(to_document(item, self._codecs))
+        except CodecError as error:
+            self._refuse(item, error)
+
+
+class _Pictures(_Form):
+    """One image of each key is made into a JPEG at a time; the newest waits, older ones go."""
+
+    def __init__(
+        self,
+        codecs: CodecRegistry,
+        tasks: asyncio.TaskGroup,
+        thread: ThreadPoolExecutor,
+        quality: int,
+        count: Counts,
+    ) -> None:
+        super().__init__()
+        self._codecs = codecs
+        self._tasks = tasks
+        self._thread = thread
+        self._quality = quality
+        self._count = count
+        self._waiting: OrderedDict[str, Item] = OrderedDict()
+        self._task: asyncio.Task[None] | None = None
+
+    def offer(self, item: Item) -> None:
+        if self._waiting.pop(item.key, None) is not None:
+            self._count.jpegs_skipped += 1
+        self._waiting[item.key] = item
+        if self._task is None:
+            self._task = self._tasks.create_task(self._encode())
+
+    def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _encode(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._waiting:
+            _, item = self._waiting.popitem(last=False)
+            try:
+                message, header = self._codecs.decode(item.payload, item.encoding)
+                payload = await loop.run_in_executor(self._thread, to_jpeg, message, self._quality)
+            except CodecError as error:
+                self._refuse(item, error)
+                continue
+            self._count.jpegs += 1
+            self._give(item.encoded("image/jpeg", payload, header.captured_ns))
+        self._task = None
+
+
+def to_document(item: Item, codecs: CodecRegistry) -> Item:
+    """Return an item as the JSON document of its message; raise `CodecError`."""
+    message, header = codecs.decode(item.payload, item.encoding)
+    document = item.encoded("application/json", b"", header.captured_ns)
+    fields = {
+        "key": item.key,
+        "schema": message.schema(),
+        "captured_ns": str(document.captured_ns),
+        "age_s": round(document.age_s, 6),
+        "message": to_json_value(message),
+    }
+    try:
+        document.payload = msgspec.json.encode(fields)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise EncodeError(f"this {message.schema()} has no JSON: {error}") from error
+    return document
+
+
+class Viewer:
+    """Somebody who looks at the newest items of a feed, one after the other."""
+
+    def __init__(self) -> None:
+        self.outlet = Outlet(self._wake, on_refusal=self._refused)
+        self._news = asyncio.Event()
+        self._refusal = ""
+        self._closed = False
+
+    async def next(self) -> Item:
+        """Return the newest item that was not returned before; wait for one.
+
+        Raises:
+            EncodeError: What comes has not the form that was asked for.
+            NotConnectedError: The gateway stops.
+        """
+        while (item := self.outlet.take()) is None:
+            if self._closed:
+                raise NotConnectedError("the gateway stops")
+            if self._refusal:
+                raise EncodeError(self._refusal)
+            self._news.clear()
+            await self._news.wait()
+        self._refusal = ""
+        return item
+
+    def close(self) -> None:
+        """Let `next` fail from now on."""
+        self._closed = True
+        self._news.set()
+
+    def _wake(self) -> None:
+        self._news.set()
+
+    def _refused(self, reason: str) -> None:
+        self._refusal = reason
+        self._news.set()
+
+
+class Counts:
+    """What the streams of this gateway have done so far."""
+
+    __slots__ = ("jpegs", "jpegs_skipped")
+
+    def __init__(self) -> None:
+        self.jpegs = 0
+        self.jpegs_skipped = 0
+
+
+class _KeyNumbers:
+    __slots__ = ("arrived_s", "encoding", "period_s")
+
+    def __init__(self, encoding: str, now_s: float) -> None:
+        self.encoding = encoding
+        self.arrived_s = now_s
+        self.period_s = 0.0
+
+    def arrived(self, encoding: str, now_s: float) -> None:
+        gap_s = now_s - self.arrived_s
+        self.period_s = gap_s if not self.period_s else 0.9 * self.period_s + 0.1 * gap_s
+        self.arrived_s = now_s
+        self.encoding = encoding
+
+
+class Feed:
+    """Everything that comes on one key expression."""
+
+    def __init__(self, bus: Bus, tasks: asyncio.TaskGroup, key_expression: str) -> None:
+        self.forms: dict[FormName, _Form] = {}
+        self.newest: OrderedDict[str, Item] = OrderedDict()
+        self._subscription = bus.subscribe(key_expression, Delivery.latest(INTAKE_DEPTH))
+        self._numbers: OrderedDict[str, _KeyNumbers] = OrderedDict()
+        tasks.create_task(self._read())
+
+    @property
+    def lost(self) -> int:
+        """Samples that never got as far as the viewers' outlets."""
+        return self._subscription.lost + self._subscription.dropped
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._subscription.close()
+        for form in self.forms.values():
+            form.close()
+
+    async def _read(self) -> None:
+        async for sample in self._subscription:
+            self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
+        now_s = time.monotonic()
+        item = Item(
+            sample.key,
+            sample.encoding,
+            sample.payload,
+            sent_ns=sample.sent_ns or time.time_ns(),
+            arrived_s=now_s,
+        )
+        numbers = self._numbers.get(sample.key)
+        if numbers is None:
+            self._numbers[sample.key] = _KeyNumbers(sample.encoding, now_s)
+        else:
+            numbers.arrived(sample.encoding, now_s)
+        self.newest[sample.key] = item
+        if len(self.newest) > MAX_KEYS:
+            self.newest.popitem(last=False)
+            self._numbers.popitem(last=False)
+        for form in self.forms.values():
+            form.offer(item)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return a row for each key that has come."""
+        now_s = time.monotonic()
+        viewers = sum(len(form.outlets) for form in self.forms.values())
+        rows = []
+        for key, numbers in self._numbers.items():
+            age_s = now_s - numbers.arrived_s
+            period_s = max(numbers.period_s, age_s if age_s > 3 * numbers.period_s else 0.0)
+            rows.append(
+                {
+                    "key": key,
+                    "encoding": numbers.encoding,
+                    "rate_hz": round(1.0 / period_s, 2) if numbers.period_s else 0.0,
+                    "age_s": round(age_s, 3),
+                    "lost": self.lost,
+                    "viewers": viewers,
+                }
+            )
+        return rows
+
+
+class Streams:
+    """All feeds that somebody looks at.
+
+    Attributes:
+        counts: What was done so far.
+    """
+
+    def __init__(
+        self, bus: Bus, codecs: CodecRegistry, tasks: asyncio.TaskGroup, *, jpeg_quality: int
+    ) -> None:
+        self.counts = Counts()
+        self._bus = bus
+        self._codecs = codecs
+        self._tasks = tasks
+        self._jpeg_quality = jpeg_quality
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="jpeg")
+        self._feeds: dict[str, Feed] = {}
+        self._viewers: set[Viewer] = set()
+
+    def attach(self, key_expression: str, form: FormName, outlet: Outlet) -> Feed:
+        """Let an outlet see what comes on a key expression, until it is detached.
+
+        Raises:
+            NameMappingError: `key_expression` is none.
+            NotConnectedError: The bus is closed.
+        """
+        feed = self._feeds.get(key_expression)
+        if feed is None:
+            feed = self._feeds[key_expression] = Feed(self._bus, self._tasks, key_expression)
+        viewers = feed.forms.get(form)
+        if viewers is None:
+            viewers = feed.forms[form] = self._form(form)
+            for item in feed.newest.values():
+                viewers.offer(item)
+        viewers.add(outlet)
+        return feed
+
+    def _form(self, form: FormName) -> _Form:
+        if form == "frame":
+            return _Frames()
+        if form == "json":
+            return _Documents(self._codecs)
+        return _Pictures(self._codecs, self._tasks, self._thread, self._jpeg_quality, self.counts)
+
+    def detach(self, key_expression: str, form: FormName, outlet: Outlet) -> None:
+        """Take an outlet off; a form and a feed without viewers end."""
+        feed = self._feeds[key_expression]
+        viewers = feed.forms[form]
+        viewers.outlets.discard(outlet)
+        if not viewers.outlets:
+            viewers.close()
+            del feed.forms[form]
+        if not feed.forms:
+            del self._feeds[key_expression]
+            feed.close()
+
+    @contextmanager
+    def viewing(self, key_expression: str, form: FormName) -> Iterator[Viewer]:
+        """Look at a key expression for the length of a block."""
+        viewer = Viewer()
+        self.attach(key_expression, form, viewer.outlet)
+        self._viewers.add(viewer)
+        try:
+            yield viewer
+        finally:
+            self._viewers.discard(viewer)
+            self.detach(key_expression, form, viewer.outlet)
+
+    async def newest(
+        self, key: str, form: FormName, *, max_age_s: float = math.inf, within_s: float
+    ) -> Item:
+        """Return the newest item of `key` if it arrived not longer ago, else the next one.
+
+        Raises:
+            NotConnectedError: None came within `within_s`.
+            EncodeError: What comes has no such form.
+        """
+        with self.viewing(key, form) as viewer:
+            try:
+                async with asyncio.timeout(within_s):
+                    while True:
+                        item = await viewer.next()
+                        if time.monotonic() - item.arrived_s <= max_age_s:
+                            return item
+            except TimeoutError as error:
+                raise NotConnectedError(
+                    f"nothing came on {key!r} within {within_s:g} s; is its sender running?"
+                ) from error
+
+    def keep(self, key: str) -> None:
+        """Read a key also while nobody looks, so that its newest value is at hand."""
+        self.attach(key, "frame", Outlet(lambda: None))
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return the table of streams."""
+        return [row for feed in self._feeds.values() for row in feed.describe()]
+
+    def close(self) -> None:
+        """Send all viewers home and end all feeds."""
+        for viewer in tuple(self._viewers):
+            viewer.close()
+        for feed in self._feeds.values():
+            feed.close()
+        self._thread.shutdown(wait=False, cancel_futures=True)
