@@ -113,7 +113,6 @@ async def running(
 ) -> AsyncIterator[Rig]:
     monkeypatch.setenv("VERTEBRA_HEARTBEAT_DIR", str(tmp_path))
     monkeypatch.setattr("vertebra.service.run._BEAT_EVERY_S", 0.05)
-    monkeypatch.setattr(CodecRegistry, "installed", CodecRegistry)  # whatever plugins there are
     network = MemoryNetwork()
     bus = MemoryBus(network)
     work = asyncio.create_task(
