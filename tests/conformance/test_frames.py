@@ -300,3 +300,10 @@ def test_foreign_value_is_sent_on_unchanged_and_shown_in_json() -> None:
 def test_empty_array_with_a_long_axis_is_not_unrolled_into_json() -> None:
     with pytest.raises(EncodeError, match="has more than 65536 items"):
         to_json_value(Tensor(array=Array(b"", "<f4", (10**18, 0))))
+
+
+def test_values_nested_500_deep_are_read() -> None:
+    fields = b"\x81\xa5value" + b"\x91" * 499 + b"\xc0"
+    head = b"\x82\xa6schema\xb1vertebra/Native/1\xa6fields" + fields
+    message, _ = CODEC.decode(b"VTB\x01" + len(head).to_bytes(4, "little") + head)
+    assert isinstance(message, Native)
