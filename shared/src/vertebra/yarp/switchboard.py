@@ -162,14 +162,12 @@ class Switchboard:
         """Return the protocol of a connection that is being made to us."""
         new = Input(self)
         self._inputs[new] = None
-        silent = [link for link in self._inputs if link.is_silent and not link.closed]
-        reverse = sum(output.is_reverse for output in self._outputs)
-        if len(self._inputs) + reverse > self.limits.max_connections:
-            self._turn_away(new, f"max_connections is {self.limits.max_connections}")
-        elif len(silent) > self.limits.max_silent_connections:
-            self._turn_away(
-                silent[0], f"max_silent_connections is {self.limits.max_silent_connections}"
-            )
+        taken = [link for link in (*self._inputs, *self._outputs) if not link.closed]
+        if len(taken) > self.limits.max_connections:
+            longest_silent = next(
+                link for link in self._inputs if link.is_silent and not link.closed
+            )  # which may be the new one
+            self._turn_away(longest_silent)
         return new.connection
 
     def replace(self, new: Input) -> None:
@@ -215,7 +213,8 @@ class Switchboard:
         if leaving:
             await asyncio.wait(leaving, timeout=2 * CLOSE_GRACE_S)
 
-    def _turn_away(self, link: Input, reason: str) -> None:
+    def _turn_away(self, link: Input) -> None:
+        reason = f"max_connections is {self.limits.max_connections}"
         self._turned_away += 1
         if is_power_of_two(self._turned_away):
             log.warning(

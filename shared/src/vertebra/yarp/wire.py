@@ -38,9 +38,8 @@ class PeerLimits:
     Attributes:
         max_message_bytes: Largest announced message or reply.
         max_text_bytes: Longest message on the text carriers, also where a payload becomes text.
-        max_connections: Connections that one YARP port accepts at the same time.
-        max_silent_connections: How many of these may not have chosen a carrier yet; the one that
-            has been silent longest makes room.
+        max_connections: Connections that one YARP port accepts at the same time; when it is
+            full, the one that has been silent longest since it was made leaves first.
         greeting_timeout_s: How long a peer may take to choose its carrier.
         connect_timeout_s: How long dialling another port may take, its greeting included.
         reply_timeout_s: How long `on_call` may take before the caller gets `[fail]`.
@@ -49,7 +48,6 @@ class PeerLimits:
     max_message_bytes: int = 64 * 1024 * 1024
     max_text_bytes: int = 256 * 1024
     max_connections: int = 256
-    max_silent_connections: int = 64
     greeting_timeout_s: float = 30.0
     connect_timeout_s: float = 5.0
     reply_timeout_s: float = 10.0

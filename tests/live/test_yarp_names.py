@@ -1,0 +1,209 @@
+"""The name server and its clients over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+
+from vertebra.errors import ConfigError, DeadlineError, NameMappingError, NotConnectedError
+from vertebra.yarp import Contact, NameClient, NameServer, Port, RpcClient
+from vertebra.yarp.wire import ACK, TCP, greeting, yarp_number
+
+TIMEOUT_S = 5.0
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[NameServer]:
+    async with await NameServer.start(tcp_port=0) as server:
+        yield server
+
+
+@pytest.fixture
+def names(server: NameServer) -> NameClient:
+    return server.client()
+
+
+async def exchange(server: NameServer, sent: bytes, expected: bytes) -> bytes:
+    """Send, and return as many bytes as are expected."""
+    reader, writer = await asyncio.open_connection(server.contact.host, server.contact.tcp_port)
+    try:
+        writer.write(sent)
+        async with asyncio.timeout(TIMEOUT_S):
+            return await reader.readexactly(len(expected))
+    finally:
+        writer.close()
+        await writer.wait_closed()
+
+
+@asynccontextmanager
+async def listener(
+    answer: Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]],
+) -> AsyncIterator[NameClient]:
+    """Stand in for a name server that is none."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await answer(reader, writer)
+        writer.close()
+        await writer.wait_closed()
+
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as running:
+        tcp_port = running.sockets[0].getsockname()[1]
+        yield NameClient("127.0.0.1", tcp_port, timeout_s=0.2)
+
+
+async def test_a_port_is_registered_found_and_forgotten(names: NameClient) -> None:
+    granted = await names.register("/a", host="10.0.0.7", tcp_port=1234)
+    assert granted == Contact("/a", "tcp", "10.0.0.7", 1234)
+    assert await names.query("/a") == granted
+    await names.announce("/a")
+    await names.unregister("/a")
+    assert await names.query("/a") is None
+    await names.unregister("/a")
+
+
+async def test_the_server_chooses_what_is_left_to_it(names: NameClient, server: NameServer) -> None:
+    first = await names.register("...")
+    second = await names.register("...", carrier="mcast")
+    assert (first.name, first.host) == ("/tmp/port/1", "127.0.0.1")
+    assert first.tcp_port in (server.contact.tcp_port + 2, 10002)
+    assert (second.carrier, second.host) == ("mcast", "224.1.1.3")
+
+
+async def test_a_name_is_taken_over_by_who_comes_later(names: NameClient) -> None:
+    await names.register("/a", host="10.0.0.7", tcp_port=1)
+    later = await names.register("/a", host="10.0.0.8", tcp_port=2)
+    assert await names.query("/a") == later
+
+
+async def test_ports_are_listed_by_prefix(names: NameClient, server: NameServer) -> None:
+    for name in ("/py/b", "/py/a", "/pyx"):
+        await names.register(name)
+    assert [each.name for each in await names.list_ports("/py")] == ["/py/a", "/py/b"]
+    assert [each.name for each in await names.list_ports()] == ["/py/a", "/py/b", "/pyx", "/root"]
+    assert await names.query("/root") == server.contact
+
+
+async def test_properties(names: NameClient) -> None:
+    await names.register("/a")
+    await names.set_property("/a", "accepts", "tcp", "fast_tcp", "two words")
+    assert await names.get_property("/a", "accepts") == ["fast_tcp", "tcp", "two", "words"]
+    assert await names.get_property("/a", "none") == []
+    assert await names.get_property("/nope", "accepts") == []
+
+
+@pytest.mark.parametrize("name", ["a", "/a b", "/a\r\nunregister /root"])
+async def test_names_that_would_break_the_protocol(names: NameClient, name: str) -> None:
+    with pytest.raises(NameMappingError):
+        await names.register(name)
+    assert await names.query(name) is None
+    assert await names.query("/root") is not None
+
+
+async def test_a_port_exists_when_it_answers(names: NameClient) -> None:
+    assert not await names.exists("/a")
+    async with await Port.open("/a", names):
+        assert await names.exists("/a")
+    dead = await names.register("/dead", host="127.0.0.1", tcp_port=1)
+    assert dead.tcp_port == 1
+    assert not await names.exists("/dead")
+
+
+async def test_every_carrier_reaches_the_server(server: NameServer) -> None:
+    line = (
+        f"registration name /root ip 127.0.0.1 port {server.contact.tcp_port} type tcp\r\n"
+        "*** end of message\r\n"
+    ).encode()
+    for sent, expected in (
+        (b"NAME_SERVER query /root\n", line),
+        (b"NAME_SERVER query /root\r\nNAME_SERVER query /root\r\n", line + line),
+        (b"CONNECT foo\r\nd\nquery /root\n", b"Welcome foo\r\n" + line),
+        (b"CONNACK foo\r\nd\nquery /root\n", b"Welcome foo\r\n" + line + b"<ACK>\r\n"),
+        (
+            greeting(TCP, "/me/x")
+            + bytes.fromhex(
+                "59410a00000052500201ffffffffffffffff080000001a00000000000000"
+                "000000007e640001040100000200000005000000717565727905000000"
+            )
+            + b"/root",
+            yarp_number(server.contact.tcp_port) + line + ACK,
+        ),
+    ):
+        assert await exchange(server, sent, expected) == expected
+
+
+async def test_bot_replies_are_bottles(names: NameClient, server: NameServer) -> None:
+    async with await RpcClient.connect("/root", names) as client:
+        reply = await client.call(["bot", "query", "/root"], timeout_s=TIMEOUT_S)
+    assert reply == [
+        "port",
+        ["name", "/root"],
+        ["ip", "127.0.0.1"],
+        ["port_number", server.contact.tcp_port],
+        ["carrier", "tcp"],
+    ]
+
+
+async def test_many_clients_at_once(names: NameClient) -> None:
+    granted = await asyncio.gather(*(names.register(f"/p/{n}") for n in range(150)))
+    assert len({each.tcp_port for each in granted}) == 150
+    assert len(await names.list_ports("/p")) == 150
+
+
+async def test_rubbish_leaves_the_server_alone(names: NameClient, server: NameServer) -> None:
+    assert (await exchange(server, b"HELLO WORLD\n", b"* Error.")) == b"* Error."
+    assert (await exchange(server, b"NAME_SERVER \xff\xfe((((\n", b"")) == b""
+    assert (await exchange(server, b"NAME_SERVER frobnicate\n", b"***")) == b"***"
+    assert await names.query("/root") == server.contact
+
+
+# --- when there is no name server ---
+
+
+async def test_nobody_listens(server: NameServer) -> None:
+    names = server.client()
+    await server.close()
+    address = f"{names.host}:{names.tcp_port}"
+    with pytest.raises(NotConnectedError, match=rf"{address}.*start `yarpserver`"):
+        await names.query("/a")
+    with pytest.raises(NotConnectedError, match=address):
+        await Port.open("/a", names)
+
+
+async def test_a_silent_server() -> None:
+    over = asyncio.Event()
+
+    async def keep_silent(_: asyncio.StreamReader, __: asyncio.StreamWriter) -> None:
+        await over.wait()
+
+    async with listener(keep_silent) as names:
+        with pytest.raises(DeadlineError, match=f"{names.host}:{names.tcp_port} within 0.2 s"):
+            await names.query("/a")
+        over.set()
+
+
+@pytest.mark.parametrize(
+    ("answer", "complaint"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n", "no YARP port"),
+        (b"Welcome admin\r\nregistration ", "before its answer was complete"),
+        (b"Welcome admin\r\nregistration of what?\r\n<ACK>\r\n", "instead of a registration"),
+        (b"Welcome admin\r\n" + b"x" * 70_000, "line without end"),
+        (b"", "before its answer was complete"),
+    ],
+)
+async def test_a_server_that_is_none(answer: bytes, complaint: str) -> None:
+    async def say(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readline()
+        writer.write(answer)
+
+    async with listener(say) as names:
+        with pytest.raises(NotConnectedError, match=complaint):
+            await names.query("/a")
+
+
+async def test_an_address_in_use(server: NameServer) -> None:
+    with pytest.raises(ConfigError, match=f"{server.contact.tcp_port}.*choose another"):
+        await NameServer.start(tcp_port=server.contact.tcp_port)
