@@ -2,11 +2,6 @@
 
 A session is a client of the router: it comes back by itself when the router does. Zenoh's
 callbacks run in its own threads and hand over to bounded buffers at once.
-
-Shared memory: Zenoh locks its segments, which a memory-lock limit may forbid (`OS error 12`), in
-part as a Rust panic in the middle of a later `put`. So a pool is probed once, from large to small,
-Zenoh's own use of shared memory for plain payloads stays off, and without a pool everything goes
-by copy. `BusInfo.shared_memory` says which.
 """
 
 from __future__ import annotations
@@ -21,7 +16,6 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from typing import Final
 
 import zenoh
-import zenoh.shm
 
 from vertebra.bus.calls import ERROR_ENCODING, Server, decode_failure, encode_failure
 from vertebra.bus.interface import (
@@ -37,6 +31,7 @@ from vertebra.bus.interface import (
     Reply,
     Request,
 )
+from vertebra.bus.shared_memory import SharedMemory
 from vertebra.bus.subscription import Sample, Subscription
 from vertebra.errors import ConfigError, DeadlineError, NotConnectedError, RemoteError
 from vertebra.keys import check_key, check_key_expression
@@ -44,10 +39,6 @@ from vertebra.keys import check_key, check_key_expression
 log = logging.getLogger(__name__)
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-SHARED_MEMORY_THRESHOLD_BYTES: Final = 16 << 10
-"""Payloads from this size on go through shared memory."""
-_POOL_BYTES: Final = (32 << 20, 16 << 20, 6 << 20, 3 << 20)
-_CHUNK_BYTES: Final = 256 << 10
 _ATTACHMENT: Final = struct.Struct("<8sQq")  # publisher, its sequence number, sent_ns
 _OPEN_ATTEMPT_MS: Final = 1000
 
@@ -56,60 +47,6 @@ _PRIORITIES: Final = {
     Priority.DATA: zenoh.Priority.DATA,
     Priority.BULK: zenoh.Priority.DATA_LOW,
 }
-
-
-class _SharedMemory:
-    """A pool for large payloads, if this machine allows one."""
-
-    def __init__(self, *, enabled: bool) -> None:
-        self.misses = 0
-        self._pool: zenoh.shm.ShmProvider | None = None
-        self.description = "off: switched off by the settings"
-        if enabled:
-            self._probe()
-
-    def _probe(self) -> None:
-        for nbytes in _POOL_BYTES:
-            try:
-                self._pool = zenoh.shm.ShmProvider.default_backend(nbytes)
-            except BaseException as error:  # a Rust panic is no Exception
-                if isinstance(error, KeyboardInterrupt | SystemExit):
-                    raise
-                self.description = (
-                    f"off: no segment of {nbytes >> 20} MiB can be locked ({error}); raise the "
-                    "memory-lock limit (ulimit -l, or ulimits.memlock in compose)"
-                )
-            else:
-                self.description = f"on: a pool of {nbytes >> 20} MiB"
-                return
-
-    @property
-    def available(self) -> bool:
-        return self._pool is not None
-
-    def hold(self, payload: Payload, nbytes: int) -> zenoh.shm.ZShmMut | None:
-        """Return a segment with a copy of `payload`, or None if the pool is full now."""
-        pool = self._pool
-        if pool is None:
-            return None
-        try:
-            segment = pool.alloc(nbytes)
-        except zenoh.ZError:
-            pool.garbage_collect()
-            try:
-                segment = pool.alloc(nbytes)
-            except zenoh.ZError:
-                self.misses += 1
-                return None
-        position = 0
-        for part in (payload,) if isinstance(payload, bytes) else payload.parts():
-            # The binding takes only bytes: memory views go in cache-sized pieces.
-            step = len(part) if isinstance(part, bytes) else _CHUNK_BYTES
-            for start in range(0, len(part), max(step, 1)):
-                piece = bytes(part[start : start + step])
-                segment[position : position + len(piece)] = piece
-                position += len(piece)
-        return segment
 
 
 class _Publisher:
@@ -124,12 +61,12 @@ class _Publisher:
         self._bus.check_open()
         attachment = _ATTACHMENT.pack(self._identity, self._sequence, time.time_ns())
         self._sequence += 1
-        nbytes = len(payload) if isinstance(payload, bytes) else payload.nbytes
-        body: bytes | zenoh.shm.ZShmMut | None = None
-        if nbytes >= SHARED_MEMORY_THRESHOLD_BYTES:
-            body = self._bus.shared_memory.hold(payload, nbytes)
-        if body is None:
-            body = payload if isinstance(payload, bytes) else b"".join(payload.parts())
+        if isinstance(payload, bytes):
+            body = self._bus.shared_memory.hold((payload,), len(payload)) or payload
+        else:
+            body = self._bus.shared_memory.hold(payload.parts(), payload.nbytes) or b"".join(
+                payload.parts()
+            )
         self._publisher.put(body, encoding=encoding, attachment=attachment)
 
     def close(self) -> None:
@@ -152,9 +89,10 @@ class _Declared:
 class ZenohBus:
     """A `Bus` on a Zenoh session. Make one with `await ZenohBus.open(...)`."""
 
-    def __init__(self, session: zenoh.Session, shared_memory: _SharedMemory) -> None:
+    def __init__(self, session: zenoh.Session, shared_memory: SharedMemory) -> None:
         self.shared_memory = shared_memory
         self._session = session
+        shared_memory.join(session)
         self._declared: set[Closeable] = set()
         self._publishers = 0
         self._closed = False
@@ -176,7 +114,7 @@ class ZenohBus:
             ConfigError: `router` is no locator such as `tcp/127.0.0.1:7447`.
             DeadlineError: No router answered within `timeout_s`.
         """
-        pool = _SharedMemory(enabled=shared_memory)
+        pool = await asyncio.to_thread(SharedMemory, enabled=shared_memory)
         config = zenoh.Config()
         try:
             for path, value in {
