@@ -618,6 +618,48 @@ async def test_a_slow_call_holds_up_its_own_connection_only(names: NameClient) -
         await peer.expect(encode(["wait"]) + ACK + b"".join(each + ACK for each in later))
 
 
+async def test_a_client_that_does_not_take_its_replies_is_not_served_further(
+    names: NameClient,
+) -> None:
+    calls = 0
+    reply: list[Value] = ["x" * 1_000_000]
+
+    async def on_call(_: Incoming) -> list[Value]:
+        nonlocal calls
+        calls += 1
+        return reply
+
+    async with (
+        await Port.open("/rpc", names, on_call=on_call) as port,
+        await RpcClient.connect("/rpc", names) as other,
+        raw_peer(port, greeting(TCP, "anon")) as greedy,
+    ):
+        greedy.writer.write(message(encode([1]), "d") * 100)
+        connection = port._board.inputs[1].connection
+        await eventually(lambda: not connection.writable)
+        assert await other.call([2], timeout_s=TIMEOUT_S) == reply
+        assert calls < 50  # what the kernel took, and one reply
+        await greedy.expect((encode(reply) + ACK) * 100)
+        assert calls == 101
+
+
+async def test_a_client_that_does_not_take_its_acks_is_not_read_further(names: NameClient) -> None:
+    inbox = Inbox()
+    async with (
+        await Port.open("/in", names, on_data=inbox) as port,
+        raw_peer(port, greeting(TCP, "anon")) as careless,
+    ):
+        connection = port._board.inputs[0].connection
+        assert connection._transport is not None
+        sock = connection._transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        careless.writer.write(message(encode([1])) * 100_000)
+        await eventually(lambda: not connection.writable)
+        assert len(inbox.got) < 100_000
+        await careless.expect(ACK * 100_000)
+        assert len(inbox.got) == 100_000
+
+
 async def test_a_client_that_has_stopped_sending_gets_its_reply(names: NameClient) -> None:
     async with (
         await Port.open("/rpc", names, on_call=echo) as port,
@@ -814,6 +856,18 @@ async def test_ports_register_again_when_the_name_server_has_forgotten_them(
             assert await names.exists("/out")
             assert caplog.text.count("cannot reach the YARP name server") == 2  # each once
             await writer.close()
+
+
+async def test_a_port_closes_although_the_name_server_hangs(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    server = await NameServer.start(tcp_port=0)
+    port = await Port.open("/a", server.client())
+    await server.close()
+    with socket.create_server(("127.0.0.1", server.contact.tcp_port)):
+        async with asyncio.timeout(2):
+            await port.close()
+    assert "/a stays registered: no answer in time" in caplog.text
 
 
 async def test_a_name_taken_over_by_another_port_is_not_fought_for(

@@ -1,7 +1,10 @@
 """A YARP peer from scratch: bottles and objects, ports, RPC, the name server and its clients.
 
 It speaks to YARP 3 and 4 over the carriers tcp, fast_tcp, text, text_ack and name_ser, and needs
-no YARP installation. `wire` knows the bytes, `link`, `port` and `client` the sockets.
+no YARP installation. Images, vectors and stamps are in `objects`.
+
+`wire` knows the bytes of a connection and has no I/O; `link` is one connection, `switchboard` all
+those of a port, `port` its life; `client` reads and calls ports without being one.
 """
 
 from __future__ import annotations

@@ -53,6 +53,7 @@ class Reader(ReadingLink):
         self._on_data = on_data
         connection.on_event = self._on_event
         connection.on_lost = None
+        connection.replies = True
 
     @classmethod
     async def dial(

@@ -77,6 +77,8 @@ class Connection(asyncio.BufferedProtocol):
         peer_host: Address of the other side; `peer` is with its TCP port.
         reason: Why the connection ended, empty while it lives.
         writable: All that was written so far is with the kernel.
+        replies: What we write are replies and acks; while a peer does not take them, nothing
+            more is taken from it.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class Connection(asyncio.BufferedProtocol):
         self.peer_host = self.peer = "?"
         self.reason = ""
         self.writable = True
+        self.replies = False
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._held = False
         self._paused = False
@@ -131,6 +134,8 @@ class Connection(asyncio.BufferedProtocol):
         self.writable = True
         if self.on_writable is not None:
             self.on_writable()
+        if self.replies and not self._held:
+            self._resume()
 
     def eof_received(self) -> bool:
         """Close, unless a reply is under way to a peer that has only stopped sending."""
@@ -155,14 +160,7 @@ class Connection(asyncio.BufferedProtocol):
     def release(self) -> None:
         """Deliver events again."""
         self._held = False
-        if self._transport is None or self.closing:
-            return
-        if self._paused:
-            self._paused = False
-            self._transport.resume_reading()
-        self._pump()
-        if self._ended and not self._held:
-            self.close("closed by the peer")
+        self._resume()
 
     def write(self, *buffers: Buffer) -> None:
         """Send; nothing happens on a connection that ends."""
@@ -191,9 +189,19 @@ class Connection(asyncio.BufferedProtocol):
         """Whether the connection has ended or is about to."""
         return bool(self.reason) or (self._transport is not None and self._transport.is_closing())
 
+    def _resume(self) -> None:
+        if self._transport is None or self.closing:
+            return
+        if self._paused:
+            self._paused = False
+            self._transport.resume_reading()
+        self._pump()
+        if self._ended and not self._held:
+            self.close("closed by the peer")
+
     def _pump(self) -> None:
         try:
-            while not self._held and not self.closing:
+            while not (self._held or self.closing or (self.replies and not self.writable)):
                 event = self.receiver.next_event()
                 if event is None:
                     break
@@ -399,6 +407,7 @@ class Output(Link):
         self._awaits_ack = False
         connection.on_event = self._on_event
         connection.on_writable = self._flush
+        connection.replies = False
 
     def offer(self, message: Outgoing) -> None:
         """Send now, or keep for later, or drop, as `delivery` says.

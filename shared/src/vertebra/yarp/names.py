@@ -19,7 +19,7 @@ from vertebra.errors import (
     TransportError,
 )
 from vertebra.yarp.bottle import Value
-from vertebra.yarp.text import to_text
+from vertebra.yarp.text import from_text, to_text
 from vertebra.yarp.wire import TEXT_ACK, TEXT_ACK_LINE, greeting, text_line
 
 DEFAULT_TCP_PORT: Final = 10000
@@ -200,7 +200,9 @@ class NameClient:
     async def _ask(self, *words: Value) -> list[str]:
         """Return the lines of the reply, without the mark at its end."""
         try:
-            lines = await _request(self.host, self.tcp_port, "d", to_text(words), self.timeout_s)
+            lines = await _request(
+                self.host, self.tcp_port, "d", " ".join(map(_typed, words)), self.timeout_s
+            )
         except NotConnectedError as error:
             raise NotConnectedError(
                 f"cannot reach the {self._server}: {error}; start `yarpserver`, or correct the "
@@ -221,6 +223,12 @@ class NameClient:
                 f"{self._server} answered {line!r:.200} instead of a registration"
             )
         return Contact(words[2], words[8], words[4], int(words[6]))
+
+
+def _typed(word: Value) -> str:
+    """Return a word as people type it, in quotes only where it needs them."""
+    bare = isinstance(word, str) and from_text(word) == [word]
+    return str(word) if bare else to_text([word])
 
 
 async def _request(

@@ -19,6 +19,7 @@ from vertebra.yarp.wire import DEFAULT_LIMITS, Buffer, PeerLimits
 
 log = logging.getLogger(__name__)
 
+_FAREWELL_S: Final = 1.0  # closing must not wait for a name server that is gone
 _WILDCARDS: Final = ("", "0.0.0.0", "::")  # noqa: S104 -- compared with, not bound to
 
 
@@ -167,9 +168,10 @@ class Port:
         await asyncio.wait([self._keeper])
         self._keeper = None
         try:
-            await self._board.names.unregister(self.name)
-        except TransportError as error:
-            log.warning("%s stays registered: %s", self.name, error)
+            async with asyncio.timeout(_FAREWELL_S):
+                await self._board.names.unregister(self.name)
+        except (TransportError, TimeoutError) as error:
+            log.warning("%s stays registered: %s", self.name, str(error) or "no answer in time")
         await self._shut()
 
     async def __aenter__(self) -> Self:

@@ -261,6 +261,7 @@ class Input(ReadingLink):
         loop = asyncio.get_running_loop()
         self._silence = loop.call_later(board.limits.greeting_timeout_s, self._end_silence)
         connection = Connection(Receiver(board.limits), self._on_event, self._on_lost)
+        connection.replies = True
         super().__init__(connection, "", "", board.dialect)
 
     @property
