@@ -51,6 +51,9 @@ def _check(text: str, *, wildcards: bool) -> None:
                         text, position, f"write '*/**' instead of '**/{chunk}' in a {kind}"
                     )
                 bare = ""
+            elif chunk == "$*" or "$*$*" in chunk:
+                shorter = "'*' instead of '$*'" if chunk == "$*" else "'$*' once"
+                raise NameMappingError(text, position, f"write {shorter} in a {kind}")
             else:
                 bare = chunk.replace("$*", "__")
         for offset, character in enumerate(bare):

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
+from textwrap import indent
 from typing import Any, Final
 
 import msgspec
 import yaml
 
 from vertebra.bus import DEFAULT_ROUTER, ZenohBus
-from vertebra.errors import ConfigError, DeadlineError, NotConnectedError
+from vertebra.errors import ConfigError, DeadlineError, EncodeError, NotConnectedError
 from vertebra.messages import Array, Message
 from vertebra.service.logs import configure_logs
 
@@ -68,29 +70,37 @@ def read_json(text: str) -> Any:
         raise ConfigError(f"{text!r} is not JSON: {error}") from error
 
 
-def readable(message: Message) -> Any:
+def readable(message: Message) -> dict[str, Any]:
     """Return the fields of a message as plain values; large arrays only in words."""
-    return msgspec.to_builtins(
+    fields: dict[str, Any] = msgspec.to_builtins(
         message, builtin_types=(bytes, bytearray), str_keys=True, enc_hook=_plain
     )
+    return fields
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Array):
-        return value.tolist() if _is_short(value) else f"<{value!r}, {value.nbytes} bytes>"
-    return f"<{type(value).__qualname__}>"
+    if not isinstance(value, Array):
+        return f"a {type(value).__qualname__}"
+    shape = " x ".join(map(str, value.shape))
+    if math.prod(value.shape) > _SHOWN_ITEMS:
+        return f"{shape} of {value.dtype}, {value.nbytes} bytes"
+    try:
+        return value.tolist()
+    except EncodeError:
+        return f"{shape} of {value.dtype}"
 
 
-def _is_short(array: Array) -> bool:
-    items = 1
-    for length in array.shape:
-        items *= length
-    return items <= _SHOWN_ITEMS and array.dtype[1:] in {"u1", "u2", "i2", "i4", "i8", "f4", "f8"}
-
-
-def as_yaml(value: Any) -> str:
-    """Return plain values as YAML for people."""
-    return yaml.safe_dump(value, sort_keys=False, allow_unicode=True, default_flow_style=None)
+def as_yaml(fields: dict[str, Any]) -> str:
+    """Return fields as YAML for people, small collections on one line."""
+    lines = []
+    for name, value in fields.items():
+        text = yaml.safe_dump(
+            value, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+        )
+        text = text.removesuffix("...\n").rstrip()
+        is_block = "\n" in text
+        lines.append(f"{name}:\n{indent(text, '  ')}" if is_block else f"{name}: {text}")
+    return "\n".join(lines)
 
 
 def table(rows: Sequence[tuple[str, ...]]) -> str:

@@ -39,4 +39,4 @@ def _show(reply: Reply) -> str:
     if not reply.payload:
         return "(an empty answer)"
     message, _ = CodecRegistry.installed().decode(reply.payload, reply.encoding)
-    return as_yaml(readable(message)).rstrip()
+    return as_yaml(readable(message))

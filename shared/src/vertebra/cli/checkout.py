@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from vertebra.errors import ConfigError
@@ -23,7 +24,7 @@ def checkout() -> Path:
 
 
 def state_folder(root: Path, name: str) -> Path:
-    """Return a folder below `.vertebra` (run, log, models), made if it is missing."""
-    folder = root / ".vertebra" / name
+    """Return a folder (run, log, models) below `VERTEBRA_STATE`, by default `.vertebra`."""
+    folder = (root / (os.environ.get("VERTEBRA_STATE") or ".vertebra") / name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -18,6 +18,7 @@ from vertebra.cli.backbone import on_backbone, table
 from vertebra.cli.checkout import checkout, state_folder
 from vertebra.cli.checks import Finding
 from vertebra.cli.fleet import active_variables, read_fleet
+from vertebra.cli.processes import is_held
 from vertebra.errors import DeadlineError
 from vertebra.keys import CONTROL_PREFIX
 
@@ -33,11 +34,10 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 async def _run(arguments: argparse.Namespace) -> int:
     root = checkout()
-    findings = [
-        *_of_machine(root),
-        *[finding async for finding in _of_backbone(arguments.router)],
-        *checks.check_heartbeats(state_folder(root, "run")),
-    ]
+    findings = [*_of_machine(root)]
+    findings += [finding async for finding in _of_backbone(arguments.router)]
+    if is_held(up.up_lock(root)):
+        findings += checks.check_heartbeats(state_folder(root, "run"))
     print(table([(each.level, each.name, each.text) for each in findings]))
     for each in findings:
         if each.level != "ok":
@@ -57,13 +57,13 @@ def _of_machine(root: Path) -> Iterator[Finding]:
                 "YARP name server", address.host, address.tcp_port, remedy=_START
             )
     yield checks.check_multicast()
-    engine = "only containers need it: deploy/engine start"
-    yield checks.check_command(
-        "Docker engine", ["docker", "version", "--format", "{{.Server.Version}}"], remedy=engine
-    )
-    yield checks.check_command(
-        "Docker Compose", ["docker", "compose", "version", "--short"], remedy=engine
-    )
+    engine = str(root / "deploy" / "engine")
+    for name, command in {
+        "Docker engine": [engine, "status"],
+        "Docker Compose": ["docker", "compose", "version"],
+    }.items():
+        remedy = f"only containers need it: {engine} start"
+        yield checks.check_command(name, command, remedy=remedy)
     yield checks.check_cameras()
     models = [sys.executable, "-m", "vertebra_face_tracking.models"]
     folder = ["--into", str(up.models_folder(root))]

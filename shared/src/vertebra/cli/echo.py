@@ -82,4 +82,4 @@ def _as_text(sample: Sample, message: Message, header: Header, *, encoding: bool
         parts.append(f"{when:%H:%M:%S.%f}, {(time.time_ns() - captured_ns) / 1e6:.1f} ms ago")
     if encoding:
         parts.append(sample.encoding)
-    return f"--- {', '.join(parts)}\n{as_yaml(readable(message))}".rstrip()
+    return f"--- {', '.join(parts)}\n{as_yaml(readable(message))}"

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from vertebra.errors import ConfigError
 
@@ -60,16 +61,28 @@ def only_one(lock: Path) -> Iterator[None]:
         ConfigError: Another process holds it; the text names that process.
     """
     with lock.open("a+", encoding="ascii") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        if not _try_lock(file):
             file.seek(0)
             pid = file.read().strip()
             raise ConfigError(
                 f"the fleet of this checkout runs already (process {pid}); use it, or stop it "
                 f"with Ctrl-C there or `kill {pid}`"
-            ) from error
+            )
         file.truncate(0)
         file.write(str(os.getpid()))
         file.flush()
         yield
+
+
+def is_held(lock: Path) -> bool:
+    """Say whether a process holds `lock` now."""
+    with lock.open("a", encoding="ascii") as file:
+        return not _try_lock(file)
+
+
+def _try_lock(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -18,17 +18,31 @@ from typing import Final
 
 from vertebra import heartbeat
 from vertebra.cli.checkout import checkout, state_folder
-from vertebra.cli.fleet import Program, active_variables, mentioned_variables, read_fleet
+from vertebra.cli.fleet import (
+    Program,
+    active_variables,
+    interpolate,
+    mentioned_variables,
+    read_fleet,
+)
 from vertebra.cli.processes import holder_of, only_one, tcp_port_is_free
 from vertebra.cli.supervision import SUPERVISOR, Follower, Supervisor
 from vertebra.errors import ConfigError
 
 LISTENERS: Final = {
-    "router": ("VERTEBRA_ROUTER_LISTEN", "tcp/127.0.0.1:7447"),
-    "yarp": ("VERTEBRA_YARP_NAME_SERVER_BIND", "127.0.0.1:10000"),
-    "gateway": ("VERTEBRA_GATEWAY_TCP_PORT", "8080"),
+    "router": ("VERTEBRA_ROUTER_LISTEN", "${VERTEBRA_ROUTER_LISTEN:-tcp/127.0.0.1:7447}"),
+    "yarp": (
+        "VERTEBRA_YARP_NAME_SERVER_BIND",
+        "${VERTEBRA_YARP_NAME_SERVER_BIND:-127.0.0.1:10000}",
+    ),
+    "gateway": (
+        "VERTEBRA_GATEWAY_TCP_PORT",
+        "${VERTEBRA_GATEWAY_HOST:-127.0.0.1}:${VERTEBRA_GATEWAY_TCP_PORT:-8080}",
+    ),
 }
-"""Where a service listens: the variable that says so, and its default."""
+"""Where a service listens: the variable to change it with, and how to tell from its environment."""
+OWN_VARIABLES: Final = frozenset({"VERTEBRA_MODELS", "VERTEBRA_REQUIRE", "VERTEBRA_STATE"})
+"""Variables that mean something without being handed to a service."""
 FOREIGN_NAME_SERVER: Final = "VERTEBRA_YARP_NAME_SERVER"
 PATIENCE_S: Final = 60.0
 """After this time the dashboard's address is told even if not all services are well."""
@@ -72,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     programs = read_fleet(
         text, variables, profiles=[name for name in profiles if name], services=arguments.service
     )
-    with only_one(state_folder(root, "run") / "up.lock"):
+    with only_one(up_lock(root)):
         _warn_of_unused_variables(text)
         addresses = listening_addresses(programs)
         check_addresses(addresses)
@@ -81,15 +95,19 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_until_stopped(root, programs, welcome, started_s)
 
 
+def up_lock(root: Path) -> Path:
+    """Return the file that a running `up` holds."""
+    return state_folder(root, "run") / "up.lock"
+
+
 def listening_addresses(programs: Sequence[Program]) -> list[Address]:
     """Return everything that the programs listen on for people and other programs."""
     return [
         Address(program.name, variable, host, int(tcp_port))
         for program in programs
         if program.name in LISTENERS and not program.environment.get(FOREIGN_NAME_SERVER)
-        for variable, default in [LISTENERS[program.name]]
-        for value in [program.environment.get(variable) or default]
-        for host, tcp_port in _ADDRESS.findall(value) or [("127.0.0.1", value)]
+        for variable, value in [LISTENERS[program.name]]
+        for host, tcp_port in _ADDRESS.findall(interpolate(value, program.environment))
     ]
 
 
@@ -106,9 +124,8 @@ def check_addresses(addresses: Sequence[Address]) -> None:
 
 
 def _warn_of_unused_variables(compose: str) -> None:
-    known = mentioned_variables(compose)
-    ours = [name for name in os.environ if name.startswith("VERTEBRA_")]
-    for name in sorted(set(ours) - known - {"VERTEBRA_MODELS"}):
+    known = mentioned_variables(compose) | OWN_VARIABLES
+    for name in sorted(name for name in os.environ.keys() - known if name.startswith("VERTEBRA_")):
         _say(f"{name} is set, but compose.yaml hands it to no service")
 
 
@@ -135,7 +152,9 @@ def _welcome(root: Path, addresses: Sequence[Address], variables: Mapping[str, s
     for address in addresses:
         if address.service == "gateway":
             token = (root / variables["VERTEBRA_GATEWAY_TOKEN_FILE"]).read_text(encoding="utf-8")
-            lines.append(f"dashboard         http://{address}/?token={token.strip()}")
+            host = address.host.replace("0.0.0.0", "127.0.0.1")  # noqa: S104  - told, not bound
+            url = f"http://{host}:{address.tcp_port}/?token={token.strip()}"
+            lines.append(f"dashboard         {url}")
         elif address.service == "yarp":
             lines.append(f"YARP name server  {address}")
         else:

@@ -66,7 +66,9 @@ class JsonCodec:
                 value.get("message"), message_type, strict=False, dec_hook=_array_of_json
             )
             return message, msgspec.convert(value, Header)
-        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
+        except (
+            msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError,
+        ) as error:  # fmt: skip
             if isinstance(error, DecodeError):
                 raise
             raise DecodeError(f"this JSON cannot be read: {error}") from error

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import yaml
-from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict, SettingsError
 
 from vertebra.bus import DEFAULT_ROUTER
 from vertebra.errors import ConfigError
@@ -57,8 +56,8 @@ class ServiceSettings(BaseSettings):
 S = TypeVar("S", bound=ServiceSettings)
 
 
-def load_settings(settings_type: type[S], environment: Mapping[str, str] = os.environ) -> S:
-    """Return the settings in force.
+def load_settings(settings_type: type[S]) -> S:
+    """Return the settings in force: the environment, then the file, then the defaults.
 
     Raises:
         ConfigError: A value is wrong, or a variable or key is unknown; all faults are listed.
@@ -72,26 +71,44 @@ def load_settings(settings_type: type[S], environment: Mapping[str, str] = os.en
     }
     problems = [
         _unknown(variable, [*own.values(), file_variable])
-        for variable in environment
+        for variable in os.environ
         if prefix and variable.startswith(prefix)
         if variable not in own.values() and variable != file_variable
     ]
-    from_file = _read_file(environment.get(file_variable, ""))
+    from_file = _read_file(os.environ.get(file_variable, ""))
     problems += [_unknown(key, list(own)) for key in from_file if key not in own]
     if problems:
         raise ConfigError("\n".join(problems))
     # The environment wins: hand over from the file only what no variable sets.
-    values = {key: value for key, value in from_file.items() if not environment.get(own[key])}
+    values = {key: value for key, value in from_file.items() if not os.environ.get(own[key])}
     try:
         return settings_type(**values)
+    except SettingsError as error:  # says which field, not what is wrong
+        raise ConfigError(_not_json(str(error), own)) from error
     except ValidationError as error:
-        problems = [f"{_where(fault, own)}: {fault['msg']}" for fault in error.errors()]
+        secrets = {
+            name
+            for name, field in settings_type.model_fields.items()
+            if field.annotation is SecretStr
+        }
+        problems = [_describe(fault, own, secrets) for fault in error.errors()]
         raise ConfigError("\n".join(problems)) from error
 
 
-def _where(fault: Any, own: dict[str, str]) -> str:
-    place = ".".join(str(step) for step in fault["loc"]) or "settings"
-    return f"{own.get(place, place)} = {fault['input']!r}"
+def _describe(fault: Any, own: dict[str, str], secrets: set[str]) -> str:
+    if not fault["loc"]:
+        return str(fault["msg"])  # the input is all settings together, secrets included
+    field, *inside = map(str, fault["loc"])
+    place = ".".join([own.get(field, field), *inside])
+    value = "(secret)" if field in secrets else repr(fault["input"])
+    return f"{place} = {value}: {fault['msg']}"
+
+
+def _not_json(text: str, own: dict[str, str]) -> str:
+    for name, variable in own.items():
+        if f'"{name}"' in text:
+            return f'{variable} = {os.environ[variable]!r}: lists are JSON, such as ["a", "b"]'
+    return text
 
 
 def describe(settings: ServiceSettings) -> str:
