@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import socket
 import struct
@@ -258,6 +259,41 @@ async def test_a_port_that_does_not_answer_a_greeting(names: NameClient) -> None
                     await writer.connect("/mute", carrier)
 
 
+@pytest.mark.parametrize("carrier", ["tcp", "text_ack"])
+async def test_what_listens_there_is_no_yarp_port(names: NameClient, carrier: str) -> None:
+    async def say_http(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(8)
+        writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        await reader.read()
+        writer.close()
+
+    async with (
+        await Port.open("/out", names) as writer,
+        await asyncio.start_server(say_http, "127.0.0.1", 0) as web,
+    ):
+        await names.register("/web", host="127.0.0.1", tcp_port=web.sockets[0].getsockname()[1])
+        with pytest.raises(NotConnectedError, match=f"does not take {carrier}: .*HTTP"):
+            await writer.connect("/web", carrier)
+        assert writer.outputs == []
+
+
+async def test_connecting_is_given_up_when_its_caller_is_cancelled(names: NameClient) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.settimeout(TIMEOUT_S)
+        await names.register("/mute", host="127.0.0.1", tcp_port=silent.getsockname()[1])
+        async with await Port.open("/out", names) as writer:
+            connecting = asyncio.create_task(writer.connect("/mute", "tcp"))
+            peer, _ = await asyncio.to_thread(silent.accept)
+            with peer:
+                hello = greeting(TCP, "/out")
+                assert await asyncio.to_thread(peer.recv, len(hello)) == hello
+                connecting.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await connecting
+                assert await asyncio.to_thread(peer.recv, 1) == b""
+        assert writer.outputs == []
+
+
 async def test_a_reader_that_fails_loses_the_message_and_not_the_stream(
     names: NameClient, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -372,6 +408,48 @@ async def test_commands_that_people_type(names: NameClient) -> None:
         await person.say(b"!/in\n", b"Could not find an outgoing connection to /in\r\n<ACK>\r\n")
         await person.say(b"q\n", b"<ACK>\r\n")
         assert await person.closed() == b""
+
+
+async def test_requests_that_a_port_cannot_fulfil(names: NameClient) -> None:
+    await names.register("/dead", host="127.0.0.1", tcp_port=1)
+    async with (
+        await Port.open("/a", names) as port,
+        raw_peer(port) as tool,
+        raw_peer(port, greeting(TCP, "admin")) as binary,
+    ):
+        await tool.say(b"CONNACK admin\r\n", b"Welcome admin\r\n")
+        for request, answer in (
+            (
+                b'[add] "udp://in"',
+                b"-1 \"Cannot connect to udp://in: cannot send over carrier 'udp'",
+            ),
+            (b'[add] "/dead"', b'-1 "Cannot connect to tcp://dead: cannot reach YARP port /dead'),
+            (b'[get] [in] "/nope"', b'-1 "Could not find a connection to or from /nope'),
+            (b'[set] [out] "/nope" (x 1)', b'-1 "Could not find a connection to or from /nope'),
+            (b"[prop] [get] none", b"\r\n<ACK>"),
+            (b"[atch] [out] x", b'[fail] "send [help] for list of valid commands"'),
+            (b"17", b'[fail] "send [help] for list of valid commands"'),
+        ):
+            await tool.say(b"a\r\n" + request + b"\r\n", answer)
+            await tool.reader.readuntil(b"<ACK>\r\n" if not answer.endswith(b"<ACK>") else b"\r\n")
+        await binary.say(message(b"no bottle at all", "a"), encode([Vocab("fail"), "x"])[:20])
+        await binary.reader.readuntil(ACK)
+        letter_z = message(b"").replace(b"~D", b"~z")
+        await binary.say(letter_z, ACK)
+
+
+async def test_what_a_port_tells_about_its_process(names: NameClient) -> None:
+    async with (
+        await Port.open("/a", names, on_call=echo) as port,
+        raw_peer(port) as tool,
+    ):
+        await tool.say(b"CONNACK admin\r\n", b"Welcome admin\r\n")
+        tool.writer.write(b'a\r\n[prop] [get] "/a"\r\n')
+        answer = (await tool.reader.readuntil(b"<ACK>\r\n")).decode()
+        assert f"(pid {os.getpid()})" in answer
+        assert "(is_rpc 1)" in answer
+        tool.writer.write(b"a\r\n[help]\r\n")
+        assert b"[many]" in await tool.reader.readuntil(b"<ACK>\r\n")
 
 
 async def test_what_tools_may_set_is_bounded(names: NameClient) -> None:
