@@ -8,7 +8,7 @@ import sys
 
 from vertebra import __version__
 from vertebra.cli import bench, call, check, doctor, echo, keys, pub, test, up
-from vertebra.errors import ConfigError, VertebraError
+from vertebra.errors import ConfigError, NameMappingError, VertebraError
 
 _EXIT_INTERRUPTED = 130
 
@@ -26,7 +26,7 @@ def main() -> int:
     try:
         status: int = arguments.run(arguments)
         sys.stdout.flush()
-    except ConfigError as error:
+    except (ConfigError, NameMappingError) as error:
         return _fail(error, 2)
     except VertebraError as error:
         return _fail(error, 1)

@@ -71,11 +71,11 @@ def read_json(text: str) -> Any:
 
 
 def readable(message: Message) -> dict[str, Any]:
-    """Return the fields of a message as plain values; large arrays only in words."""
+    """Return the fields of a message as plain values; large arrays and bytes only in words."""
     fields: dict[str, Any] = msgspec.to_builtins(
         message, builtin_types=(bytes, bytearray), str_keys=True, enc_hook=_plain
     )
-    return fields
+    return {name: _without_bytes(value) for name, value in fields.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -90,6 +90,16 @@ def _plain(value: Any) -> Any:
         return f"{shape} of {value.dtype}"
 
 
+def _without_bytes(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_bytes(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_bytes(item) for item in value]
+    if isinstance(value, bytes | bytearray):
+        return f"{len(value)} bytes: {value[:_SHOWN_ITEMS].hex(' ')}"
+    return value
+
+
 def as_yaml(fields: dict[str, Any]) -> str:
     """Return fields as YAML for people, small collections on one line."""
     lines = []
@@ -98,7 +108,7 @@ def as_yaml(fields: dict[str, Any]) -> str:
             value, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
         )
         text = text.removesuffix("...\n").rstrip()
-        is_block = "\n" in text
+        is_block = isinstance(value, dict | list) and text[0] not in "{["
         lines.append(f"{name}:\n{indent(text, '  ')}" if is_block else f"{name}: {text}")
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import json
 from vertebra.bus import Reply
 from vertebra.cli.backbone import JSON_ENCODING, as_yaml, backbone, on_backbone, read_json, readable
 from vertebra.codec import CodecRegistry
+from vertebra.keys import check_key
 
 
 def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -22,6 +23,7 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 
 async def _run(arguments: argparse.Namespace) -> int:
+    check_key(arguments.key)
     payload, encoding = b"", ""
     if arguments.argument is not None:
         payload, encoding = json.dumps(read_json(arguments.argument)).encode(), JSON_ENCODING

@@ -12,6 +12,7 @@ from vertebra.bus import Delivery, Sample
 from vertebra.cli.backbone import as_yaml, backbone, on_backbone, readable
 from vertebra.codec import CodecRegistry
 from vertebra.errors import CodecError
+from vertebra.keys import check_key_expression
 from vertebra.messages import Header, Message
 
 _DEPTH = 1024
@@ -30,6 +31,7 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 
 async def _run(arguments: argparse.Namespace) -> int:
+    check_key_expression(arguments.key_expression)
     codecs = CodecRegistry.installed()
     left = arguments.n
     async with (

@@ -13,7 +13,7 @@ from vertebra.bus import Bus, Delivery, Sample
 from vertebra.cli.backbone import backbone, on_backbone, table
 from vertebra.codec import CodecRegistry
 from vertebra.errors import CodecError
-from vertebra.keys import CONTROL_PREFIX
+from vertebra.keys import CONTROL_PREFIX, check_key_expression
 from vertebra.messages import Status
 
 _SERVICES = f"{CONTROL_PREFIX}/services/*/*"
@@ -30,6 +30,7 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 
 async def _run(arguments: argparse.Namespace) -> int:
+    check_key_expression(arguments.key_expression)
     async with backbone(arguments.router) as bus:
         seen, services = await asyncio.gather(
             _listen(bus, arguments.key_expression, arguments.seconds),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import socket
@@ -32,15 +33,24 @@ def holder_of(tcp_port: int) -> str:
     """Name the process that listens on a TCP port, as far as /proc tells us."""
     sockets = set(_listening_sockets(tcp_port))
     for process in Path("/proc").glob("[0-9]*"):
-        try:
-            targets = {os.readlink(entry) for entry in (process / "fd").iterdir()}  # noqa: PTH115
-            words = (process / "cmdline").read_bytes().split(b"\0")
-        except OSError:  # ended in the meantime, or belongs to somebody else
-            continue
-        if targets & sockets:
-            command = b" ".join(words).decode(errors="replace").strip()
-            return f"process {process.name} ({command})"
+        if sockets & set(_open_files(process)):
+            return f"process {process.name} ({_command(process)})"
     return "a process that this user may not see"
+
+
+def _open_files(process: Path) -> Iterator[str]:
+    with contextlib.suppress(OSError):  # it ended in the meantime, or belongs to somebody else
+        for descriptor in os.listdir(process / "fd"):  # noqa: PTH208 - complete before one is read
+            with contextlib.suppress(FileNotFoundError):
+                yield str((process / "fd" / descriptor).readlink())
+
+
+def _command(process: Path) -> str:
+    try:
+        words = (process / "cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return "ended just now"
+    return b" ".join(words).decode(errors="replace").strip()
 
 
 def _listening_sockets(tcp_port: int) -> Iterator[str]:

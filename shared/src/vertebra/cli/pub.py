@@ -13,6 +13,7 @@ from vertebra.bus import Payload
 from vertebra.cli.backbone import JSON_ENCODING, backbone, on_backbone, read_json
 from vertebra.codec import CodecRegistry
 from vertebra.errors import ConfigError, DecodeError
+from vertebra.keys import check_key
 from vertebra.messages import MESSAGES, Header, Text
 
 _TYPES = {message.__name__: message for message in MESSAGES}
@@ -35,6 +36,7 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 async def _run(arguments: argparse.Namespace) -> int:
     if arguments.rate is not None and arguments.rate <= 0:
         raise ConfigError(f"a rate is more than 0 Hz, not {arguments.rate:g}")
+    check_key(arguments.key)
     codecs = CodecRegistry.installed()
     encode_payload(codecs, arguments.message, arguments.type)  # complain before anything is opened
     async with backbone(arguments.router) as bus:
