@@ -253,7 +253,7 @@ class CodecSuite(ABC):
         for payload, expected in self.foreign:
             if isinstance(expected, str):
                 with pytest.raises(DecodeError, match=expected):
-                    codec.decode(payload)
+                    pytest.fail(f"{payload!r:.100} became {codec.decode(payload)!r}")
             else:
                 assert codec.decode(payload) == (expected, Header())
 

@@ -1,0 +1,1 @@
+"""PNG and WebP as encodings of images, and Pillow images as values in messages."""
