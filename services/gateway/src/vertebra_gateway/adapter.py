@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
 import socket
 from collections.abc import Iterator
@@ -29,6 +30,10 @@ from vertebra_gateway.ws_protocol import MAX_TEXT_BYTES
 log = logging.getLogger(__name__)
 
 _STOP_S: Final = 2
+_REMEDIES: Final = {
+    errno.EADDRINUSE: "is another gateway running there? Stop it, or set VERTEBRA_GATEWAY_TCP_PORT",
+    errno.EACCES: "set VERTEBRA_GATEWAY_TCP_PORT to 1024 or above",
+}
 _PING_EVERY_S: Final = 20.0
 _PONG_WITHIN_S: Final = 60.0
 
@@ -36,8 +41,9 @@ _PONG_WITHIN_S: Final = 60.0
 async def serve(context: Context[GatewaySettings]) -> None:
     """Serve the web until cancelled."""
     settings = context.settings
-    guard = Guard(settings.read_token(), settings.allowed_origins)
-    profiles = load_profiles(settings.robots)
+    token = await asyncio.to_thread(settings.read_token)
+    guard = Guard(token, settings.allowed_origins)
+    profiles = await asyncio.to_thread(load_profiles, settings.robots)
     streams = Streams(
         context.bus, context.codecs, context.tasks, jpeg_quality=settings.jpeg_quality
     )
@@ -110,25 +116,25 @@ def listening(host: str, tcp_port: int) -> Iterator[socket.socket]:
     """Listen for connections as long as the block runs.
 
     Raises:
-        ConfigError: The address is taken or not ours.
+        ConfigError: The address is taken, not allowed, or none of this machine.
     """
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            host, tcp_port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        listener = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise ConfigError(f"the gateway cannot listen on {host}:{tcp_port}: {error}") from error
-    with listener:
+    with contextlib.ExitStack() as opened:
         try:
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                host, tcp_port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )[0]
+            listener = opened.enter_context(socket.socket(family, kind, protocol))
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             limit_send_buffer(listener)
             listener.bind(address)
             listener.listen()
         except OSError as error:
+            remedy = _REMEDIES.get(
+                error.errno or 0, "set VERTEBRA_GATEWAY_HOST to an address of it"
+            )
             raise ConfigError(
-                f"the gateway cannot listen on {host}:{tcp_port}: {error.strerror}; is another "
-                "gateway running there? Stop it, or set VERTEBRA_GATEWAY_TCP_PORT (0 takes any)"
+                f"the gateway cannot listen on {host}:{tcp_port} of this machine: "
+                f"{error.strerror}; {remedy}"
             ) from error
         yield listener
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hmac
 from http.cookies import CookieError, SimpleCookie
 from typing import Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -14,7 +14,7 @@ from vertebra_gateway.problems import Problem
 
 COOKIE: Final = "vertebra_token"
 TOKEN_SUBPROTOCOL: Final = "token."  # noqa: S105  - what stands before the token
-_OPEN_PATHS: Final = frozenset({"/healthz", "/readyz"})
+OPEN_PATHS: Final = frozenset({"/healthz", "/readyz"})
 _SECURITY_HEADERS: Final = {
     "content-security-policy": (
         "default-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; "
@@ -49,7 +49,7 @@ class Guard:
                 detail=f"pages of {origin!r} may not use this gateway; if they shall, add the "
                 "origin to VERTEBRA_GATEWAY_ALLOWED_ORIGINS",
             )
-        if scope["path"] in _OPEN_PATHS:
+        if scope["path"] in OPEN_PATHS:
             return None
         tokens = _tokens(scope, headers)
         if any(self.knows(token) for token in tokens):
@@ -62,7 +62,8 @@ class Guard:
         )
 
     def _allows(self, origin: str, host: str) -> bool:
-        return urlsplit(origin).netloc == host or origin in self._allowed_origins
+        own = host != "" and origin.partition("://")[2] == host
+        return own or origin in self._allowed_origins
 
 
 def _tokens(scope: Scope, headers: Headers) -> list[str]:

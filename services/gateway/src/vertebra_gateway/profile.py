@@ -212,16 +212,20 @@ class _Document:
     def __init__(self, text: str, file: str) -> None:
         self._file = file
         self._lines: dict[Place, int] = {}
-        loader = yaml.SafeLoader(text)
         try:
-            node = loader.get_single_node()
-            self.value = self._read(loader, node, ()) if node is not None else None
+            self.value = self._parse(text)
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark
             line = mark.line + 1 if mark is not None else 1
             raise ConfigError(f"{file}, line {line}: this is no YAML: {error.problem}") from error
         except (yaml.YAMLError, RecursionError) as error:
             raise ConfigError(f"{file}: this is no YAML: {error}") from error
+
+    def _parse(self, text: str) -> Any:
+        loader = yaml.SafeLoader(text)
+        try:
+            node = loader.get_single_node()
+            return self._read(loader, node, ()) if node is not None else None
         finally:
             loader.dispose()
 

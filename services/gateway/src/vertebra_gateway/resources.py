@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 import msgspec
@@ -102,7 +102,7 @@ class Robots:
         self._codecs = codecs
         self._robots = {profile.robot: Robot(profile) for profile in profiles}
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[Robot]:
         return iter(self._robots.values())
 
     def describe(self) -> list[dict[str, Any]]:

@@ -52,23 +52,23 @@ def routes(gateway: Gateway) -> APIRouter:
     robots, streams = gateway.robots, gateway.streams
     router = APIRouter(default_response_class=JsonResponse)
 
-    @router.get("/healthz", summary="Whether the gateway runs")
+    @router.get("/healthz")
     async def healthz() -> Response:
         return JsonResponse({"ok": True})
 
-    @router.get("/readyz", summary="Whether the gateway reaches the backbone")
+    @router.get("/readyz")
     async def readyz() -> Response:
         if not gateway.bus.info().connected:
             raise NotConnectedError("the router is not reached")
         return JsonResponse({"ok": True})
 
-    @router.get("/metrics", summary="Metrics of the whole fleet, as Prometheus text")
+    @router.get("/metrics")
     async def metrics() -> Response:
         return Response(
             await gateway.fleet.metrics(), media_type="text/plain; version=0.0.4; charset=utf-8"
         )
 
-    @router.get("/api/fleet", summary="Services, streams and clients as they are now")
+    @router.get("/api/fleet")
     async def get_fleet() -> Response:
         return JsonResponse(
             {
@@ -78,15 +78,15 @@ def routes(gateway: Gateway) -> APIRouter:
             }
         )
 
-    @router.get("/api/robots", summary="All robots and what they offer")
+    @router.get("/api/robots")
     async def get_robots() -> Response:
         return JsonResponse(robots.describe())
 
-    @router.get("/api/robots/{robot}", summary="One robot and what it offers")
+    @router.get("/api/robots/{robot}")
     async def get_robot(robot: str) -> Response:
         return JsonResponse(robots.robot(robot).describe())
 
-    @router.get("/api/robots/{robot}/{path:path}/stream", include_in_schema=False)
+    @router.get("/api/robots/{robot}/{path:path}/stream")
     async def get_stream(robot: str, path: str) -> Response:
         resource = readable(robot, path)
         if resource.content_type != "image/jpeg":
@@ -98,7 +98,7 @@ def routes(gateway: Gateway) -> APIRouter:
         )
         return MjpegResponse(streams, resource.key)
 
-    @router.get("/api/robots/{robot}/{path:path}", include_in_schema=False)
+    @router.get("/api/robots/{robot}/{path:path}")
     async def get_resource(robot: str, path: str) -> Response:
         found = robots.robot(robot).resource(path)
         if found.kind == "call":
@@ -130,7 +130,7 @@ def routes(gateway: Gateway) -> APIRouter:
         found.require_online()
         return resource
 
-    @router.post("/api/robots/{robot}/{path:path}", include_in_schema=False)
+    @router.post("/api/robots/{robot}/{path:path}")
     async def post_resource(robot: str, path: str, request: Request) -> Response:
         found = robots.robot(robot).resource(path)
         if found.http_method != "POST":

@@ -30,6 +30,10 @@ MAX_KEYS: Final = 1024
 """Keys whose newest value and numbers are kept for one key expression, and for one viewer."""
 
 
+MAX_WAITING_BYTES: Final = 64 << 20
+"""Payload that waits for one viewer; a single larger item is let through."""
+
+
 class Item:
     """One encoded sample, shared by all who look at it."""
 
@@ -70,7 +74,7 @@ class Outlet:
 
     __slots__ = (
         "_delivery", "_due_s", "_in_flight", "_loop", "_on_refusal", "_period_s", "_queue",
-        "_refusal", "_slots", "_wake", "_window", "dropped", "waiting",
+        "_refusal", "_slots", "_waiting_bytes", "_wake", "_window", "dropped", "waiting",
     )  # fmt: skip
 
     def __init__(
@@ -93,6 +97,7 @@ class Outlet:
         """
         self.dropped = 0
         self.waiting = 0
+        self._waiting_bytes = 0
         self._wake = wake
         self._delivery = delivery or Delivery.latest()
         self._period_s = 1.0 / max_rate_hz if max_rate_hz else 0.0
@@ -108,14 +113,23 @@ class Outlet:
     def offer(self, item: Item) -> None:
         """Take an item in, or let one go."""
         self._refusal = ""
-        if self._delivery.policy == "queue":
-            if len(self._queue) >= self._delivery.depth:
-                self.dropped += 1
-                return
+        if self._delivery.policy == "latest":
+            self._offer_latest(item)
+        elif len(self._queue) < self._delivery.depth and self._fits(item):
             self._queue.append(item)
-            self.waiting += 1
+            self._count(item)
             self._wake()
-            return
+        else:
+            self.dropped += 1
+
+    def _fits(self, item: Item) -> bool:
+        return self._waiting_bytes + len(item.payload) <= MAX_WAITING_BYTES or not self.waiting
+
+    def _count(self, item: Item, by: int = 1) -> None:
+        self.waiting += by
+        self._waiting_bytes += by * len(item.payload)
+
+    def _offer_latest(self, item: Item) -> None:
         slot = self._slots.get(item.key)
         due_s = self._due_s.get(item.key, 0.0) if self._period_s else 0.0
         early = due_s > 0.0 and due_s > self._loop.time()
@@ -126,12 +140,11 @@ class Outlet:
             slot = self._slots[item.key] = deque()
             if early:
                 self._loop.call_at(due_s, self._wake)
-        elif len(slot) >= self._delivery.depth:
-            slot.popleft()
-            self.waiting -= 1
+        elif len(slot) >= self._delivery.depth or not self._fits(item):
+            self._count(slot.popleft(), -1)
             self.dropped += not early  # what the viewer's own rate limit skips is not lost
         slot.append(item)
-        self.waiting += 1
+        self._count(item)
         if not early:
             self._wake()
 
@@ -141,7 +154,7 @@ class Outlet:
             return None
         item = self._queue.popleft() if self._queue else self._take_latest()
         if item is not None:
-            self.waiting -= 1
+            self._count(item, -1)
             self._in_flight += 1
         return item
 

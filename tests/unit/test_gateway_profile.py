@@ -1,0 +1,118 @@
+"""Robot profiles: what is read, and how errors point at the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vertebra.errors import ConfigError
+from vertebra_gateway.profile import load_profiles, parse_profile
+
+SHIPPED = Path(__file__).parents[2] / "deploy" / "robots"
+GOOD = """\
+robot: r2
+presence: "@vertebra/parts/r2/*"
+resources:
+  - path: arm/limits
+    kind: call
+    method: GET
+    key: r2/arm/limits
+  - path: arm/move
+    kind: call
+    key: r2/arm/move
+    timeout_s: 3
+    input: {type: object, required: [to]}
+    limits:
+      from: arm/limits
+      fields:
+        to: {min: low, max: high, unit: deg}
+  - path: eye
+    kind: stream
+    key: r2/eye
+    content_type: image/jpeg
+"""
+
+
+def test_a_profile_is_read() -> None:
+    profile = parse_profile(GOOD, "r2.yaml")
+    assert profile.robot == "r2"
+    assert [(found.path, found.kind, found.http_method) for found in profile.resources] == [
+        ("arm/limits", "call", "GET"),
+        ("arm/move", "call", "POST"),
+        ("eye", "stream", "GET"),
+    ]
+    move = profile.resource("arm/move")
+    assert move is not None
+    assert move.limits is not None
+    assert (move.timeout_s, move.limits.source) == (3.0, "arm/limits")
+    assert move.limits.fields["to"].unit == "deg"
+    assert profile.resource("arm") is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("robot: r2", "robot: R 2", 1, "'R 2' is no robot name"),
+        ("robot: r2", "robot: [r2]", 1, "Expected `str`, got `array`"),
+        ("robot: r2", "robots: r2", 1, "unknown field `robots`"),
+        ("presence:", "presence", 3, "this is no YAML"),
+        ("/r2/*", "/r2//*", 2, "has no empty chunk"),
+        ("path: arm/limits", "path: /arm/limits", 4, "'/arm/limits' is no path"),
+        ("path: eye", "path: eye/stream", 17, "the last of which is not 'stream'"),
+        ("path: eye", "path: arm/move", 17, "resource 'arm/move' exists already"),
+        ("kind: stream", "kind: river", 18, "Invalid enum value 'river'"),
+        ("kind: stream", "kind: stream\n    kind: read", 19, "'kind' is given twice"),
+        ("kind: stream", "kind: stream\n    1: read", 19, "1 is no text"),
+        ("kind: stream", "kind: stream\n    method: POST", 19, "method belongs to a resource"),
+        ("key: r2/eye", "key: r2/*", 19, "'*' is not allowed in a key"),
+        ("key: r2/eye", "keys: r2/eye", 17, "unknown field `keys`"),
+        ("timeout_s: 3", "timeout_s: -1", 11, "above 0 and at most 600"),
+        ("timeout_s: 3", "timeout_s: .nan", 11, "above 0 and at most 600"),
+        ("timeout_s: 3", "method: GET", 12, "a call by GET takes no input"),
+        ("{type: object, required: [to]}", "{type: objekt}", 12, "this is no JSON Schema"),
+        ("from: arm/limits", "from: eye", 14, "'eye' is no resource of kind call"),
+        ("from: arm/limits", "from: leg/limits", 14, "'leg/limits' is no resource"),
+        ("unit: deg", "units: deg", 16, "unknown field `units`"),
+    ],
+)
+def test_errors_point_at_file_and_line(old: str, new: str, line: int, says: str) -> None:
+    assert old in GOOD
+    with pytest.raises(ConfigError) as caught:
+        parse_profile(GOOD.replace(old, new, 1), "r2.yaml")
+    assert str(caught.value).startswith(f"r2.yaml, line {line}: ")
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "7", "&a [*a]", "robot: r2", "\x00", "a: b\n--- \nc"])
+def test_anything_else_is_an_error_too(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"r2\.yaml"):
+        parse_profile(text, "r2.yaml")
+
+
+def test_two_files_for_one_robot_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(GOOD, encoding="utf-8")
+    (tmp_path / "b.yaml").write_text(GOOD, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"b\.yaml: robot 'r2' is described in .*a\.yaml already"):
+        load_profiles(tmp_path)
+
+
+def test_missing_folder_and_unreadable_file_name_the_remedy(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="set VERTEBRA_GATEWAY_ROBOTS"):
+        load_profiles(tmp_path / "nowhere")
+    (tmp_path / "a.yaml").write_bytes(b"robot: \xff")
+    with pytest.raises(ConfigError, match=r"a\.yaml cannot be read"):
+        load_profiles(tmp_path)
+
+
+def test_the_shipped_profiles_are_good() -> None:
+    profiles = {profile.robot: profile for profile in load_profiles(SHIPPED)}
+    assert {resource.path for resource in profiles["vizzy"].resources} == {
+        "head/joints",
+        "head/limits",
+        "head/move",
+        "head/stop",
+        "camera/left",
+        "camera/left/faces",
+        "imu",
+    }
