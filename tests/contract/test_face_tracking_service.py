@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
+from vertebra.bus import Delivery, MemoryBus, MemoryNetwork, Sample, Subscription
 from vertebra.codec import ENCODING, CodecRegistry
 from vertebra.errors import ConfigError
 from vertebra.messages import Array, Box, Faces, Header, Image, Message, Status, Text
@@ -64,6 +64,8 @@ class Rig:
 
     bus: MemoryBus
     work: asyncio.Task[None]
+    watching: asyncio.Event
+    viewer: Subscription[Sample]
     codecs: CodecRegistry = field(default_factory=CodecRegistry)
 
     def read(self, key: str, wanted: type[Message]) -> AsyncIterator[Received[Any]]:
@@ -90,6 +92,7 @@ class Rig:
 
     async def ready(self) -> None:
         await self.status(lambda status: status.level == "ok")
+        await asyncio.wait_for(self.watching.wait(), WITHIN_S)
 
     async def metrics(self) -> dict[str, float]:
         reply = await self.bus.call(service_key(NAME, "1", "metrics"), timeout_s=WITHIN_S)
@@ -115,11 +118,13 @@ async def running(
     monkeypatch.setattr("vertebra.service.run._BEAT_EVERY_S", 0.05)
     network = MemoryNetwork()
     bus = MemoryBus(network)
-    work = asyncio.create_task(
-        run_service(NAME, FaceTrackingSettings(**settings), serve, bus=MemoryBus(network))
-    )
+    in_force = FaceTrackingSettings(**settings)
+    viewer = bus.subscribe(f"{in_force.input}/faces", Delivery.latest())
+    watching = asyncio.Event()
+    bus.follow_demand(in_force.input, lambda wanted: watching.set() if wanted else watching.clear())
+    work = asyncio.create_task(run_service(NAME, in_force, serve, bus=MemoryBus(network)))
     try:
-        yield Rig(bus, work)
+        yield Rig(bus, work, watching, viewer)
     finally:
         work.cancel()
         await asyncio.gather(work, return_exceptions=True)
@@ -396,3 +401,22 @@ async def test_it_stops_at_once_even_while_the_detector_works(rig: Rig, stub: St
     stub.go_on.set()
 
     assert done
+
+
+async def test_nobody_looks_at_images_that_nobody_asks_about(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, stub: Stub
+) -> None:
+    async with running(monkeypatch, tmp_path) as rig:
+        await rig.ready()
+        rig.viewer.close()
+        async with asyncio.timeout(WITHIN_S):
+            while rig.watching.is_set():
+                await asyncio.sleep(0.01)
+        rig.camera("vizzy/camera/left").publish(GREY)
+        faces = rig.read("vizzy/camera/left/faces", Faces)
+        await asyncio.wait_for(rig.watching.wait(), WITHIN_S)
+        rig.camera("vizzy/camera/left").publish(GREY, captured_ns=7)
+        received = await rig.next(faces)
+    assert received.header.captured_ns == 7
+    assert stub.called.acquire(blocking=False)
+    assert not stub.called.acquire(blocking=False)

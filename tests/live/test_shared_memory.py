@@ -29,7 +29,8 @@ from vertebra.bus import Delivery, ZenohBus
 
 async def publish(bus, number):
     wanted = asyncio.Event()
-    publisher = bus.publisher(f"large/{number}", encoding="", on_wanted=lambda _: wanted.set())
+    bus.follow_demand(f"large/{number}", lambda _: wanted.set())
+    publisher = bus.publisher(f"large/{number}", encoding="")
     await wanted.wait()
     for _ in range(int(sys.argv[4])):
         publisher.put(bytes(230_460))

@@ -13,7 +13,7 @@ from typing import Final
 
 import cv2
 
-from vertebra.bus import Delivery, Sample
+from vertebra.bus import Delivery, Sample, Subscription
 from vertebra.errors import CodecError
 from vertebra.messages import Faces, Image
 from vertebra.service import Context, MessagePublisher, MessageReader
@@ -74,8 +74,10 @@ class _FaceTracking:
         self._cameras: OrderedDict[str, _Camera] = OrderedDict()
         self._quiet_until_s = 0.0
         settings = context.settings
-        self._images = context.bus.subscribe(settings.input, Delivery.latest())
-        self._reader = MessageReader(self._images, context.codecs, Image)
+        self._wanted = asyncio.Event()
+        self._images: Subscription[Sample] | None = None
+        self._dropped = 0
+        self._lost = 0
         context.routes[settings.input] = f"{settings.input}/{RESULT}"
         self._analysed = context.counter(
             "face_tracking_images", "Images whose faces were published"
@@ -88,28 +90,50 @@ class _FaceTracking:
         context.gauge(
             "face_tracking_dropped_images",
             "Images let go because newer ones came first",
-            lambda: self._images.dropped,
+            lambda: self._dropped + (self._images.dropped if self._images else 0),
         )
         context.gauge(
-            "face_tracking_lost_images", "Images lost on the way to here", lambda: self._images.lost
+            "face_tracking_lost_images",
+            "Images lost on the way to here",
+            lambda: self._lost + (self._images.lost if self._images else 0),
         )
 
     async def run(self) -> None:
-        """Look at the newest image of each camera in turn."""
+        """Look at the newest image of each camera in turn, while anybody wants to know."""
+        settings = self._context.settings
+        self._context.bus.follow_demand(f"{settings.input}/{RESULT}", self._on_wanted)
+        self._context.ready()
+        while True:
+            await self._wanted.wait()
+            async with self._context.bus.subscribe(settings.input, Delivery.latest()) as images:
+                self._images = images
+                await self._follow(images)
+            self._dropped += images.dropped
+            self._lost += images.lost
+            self._images = None
+
+    def _on_wanted(self, wanted: bool) -> None:  # noqa: FBT001  - called back
+        if wanted:
+            self._wanted.set()
+        else:
+            self._wanted.clear()
+            if self._images is not None:
+                self._images.close()
+
+    async def _follow(self, images: Subscription[Sample]) -> None:
+        reader = MessageReader(images, self._context.codecs, Image)
         interval_s = 1 / self._context.settings.max_rate_hz
         due_s = 0.0
-        self._context.ready()
-        async with self._images:
-            async for sample in self._images:
-                # Counted from when this one was due: an image that came late delays no other.
-                due_s = max(due_s + interval_s, time.monotonic())
-                await self._look(sample)
-                await asyncio.sleep(max(0.0, due_s - time.monotonic()))
+        async for sample in images:
+            # Counted from when this one was due: an image that came late delays no other.
+            due_s = max(due_s + interval_s, time.monotonic())
+            await self._look(sample, reader)
+            await asyncio.sleep(max(0.0, due_s - time.monotonic()))
 
-    async def _look(self, sample: Sample) -> None:
+    async def _look(self, sample: Sample, reader: MessageReader[Image]) -> None:
         camera = self._camera(sample.key)
         try:
-            received = self._reader.read(sample)
+            received = reader.read(sample)
             captured_ns = received.header.captured_ns
             work = partial(self._analyse, received.message, captured_ns, camera.tracker)
             faces = await asyncio.get_running_loop().run_in_executor(self._worker, work)

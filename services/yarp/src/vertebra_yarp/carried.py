@@ -42,15 +42,12 @@ class Kit:
         """Return what counts a message of a route."""
         return self._messages.labels(route.yarp, route.key, route.direction).inc
 
-    def publisher(
-        self, route: Stream, on_wanted: Callable[[bool], None] | None = None
-    ) -> MessagePublisher:
+    def publisher(self, route: Stream) -> MessagePublisher:
         """Return the publisher of an inbound route."""
         return self.context.publisher(
             route.key,
             priority=Priority.BULK if route.type in _BULK else Priority.DATA,
             origin=f"{ORIGIN}{route.yarp}",
-            on_wanted=on_wanted,
         )
 
 

@@ -24,7 +24,8 @@ class InboundStream(Carried):
         self._wanted = asyncio.Event()
         self._unwanted = asyncio.Event()
         self._unwanted.set()
-        self._publisher = kit.publisher(route, self._on_wanted)
+        self._publisher = kit.publisher(route)
+        self._demand = kit.context.bus.follow_demand(route.key, self._on_wanted)
         self._count = kit.count(route)
         self._interval_ns = round(1e9 / route.max_rate_hz) if route.max_rate_hz else 0
         self._next_ns = 0
@@ -81,6 +82,7 @@ class InboundStream(Carried):
 
     async def close(self) -> None:
         """End it."""
+        self._demand.close()
         await super().close()
         self._publisher.close()
 

@@ -168,17 +168,16 @@ class Bus(Protocol):
     """
 
     def publisher(
-        self,
-        key: str,
-        *,
-        encoding: str,
-        priority: Priority = Priority.DATA,
-        on_wanted: OnWanted | None = None,
+        self, key: str, *, encoding: str, priority: Priority = Priority.DATA
     ) -> Publisher:
-        """Declare a publisher on a key.
+        """Declare a publisher on a key."""
+        ...
 
-        `on_wanted` is called in the event loop with True when the first subscriber comes and with
-        False when the last one left, so that nothing is made that nobody wants.
+    def follow_demand(self, key_expression: str, on_wanted: OnWanted) -> Closeable:
+        """Learn whether anybody subscribes to a matching key, so that nothing is made for nobody.
+
+        `on_wanted` is called in the event loop with True when the first subscriber comes, or is
+        there already, and with False when the last one left.
         """
         ...
 

@@ -42,12 +42,12 @@ class MemoryNetwork:
         self.watchers: set[Subscription[PresenceEvent]] = set()
         self.servers: dict[_Served, Server] = {}
         self.present: list[str] = []
-        self.publishers: set[_Publisher] = set()
+        self.demands: set[_Demand] = set()
 
-    def tell_publishers(self) -> None:
-        """Let those publishers know who found or lost their subscribers."""
-        for publisher in tuple(self.publishers):
-            publisher.look_for_subscribers()
+    def tell_demand(self) -> None:
+        """Tell those who follow a demand that has begun or ended."""
+        for demand in tuple(self.demands):
+            demand.look()
 
 
 class _Served:
@@ -88,10 +88,8 @@ class _Token:
 
 
 class _Publisher:
-    def __init__(self, bus: MemoryBus, key: str, encoding: str, on_wanted: OnWanted | None) -> None:
+    def __init__(self, bus: MemoryBus, key: str, encoding: str) -> None:
         self.key = key
-        self._on_wanted = on_wanted
-        self._wanted = False
         self._bus = bus
         self._encoding = encoding
         self._identity = uuid.uuid4().bytes[:8]
@@ -110,17 +108,29 @@ class _Publisher:
                 subscription.offer(sample, self._identity, self._sequence)
         self._sequence += 1
 
-    def look_for_subscribers(self) -> None:
+    def close(self) -> None:
+        self._bus.declared.discard(self)
+
+
+class _Demand:
+    def __init__(self, bus: MemoryBus, key_expression: str, on_wanted: OnWanted) -> None:
+        self._bus = bus
+        self._key_expression = key_expression
+        self._on_wanted = on_wanted
+        self._wanted = False
+        self._loop = asyncio.get_running_loop()
+
+    def look(self) -> None:
         wanted = any(
-            intersects(subscription.key_expression, self.key)
+            intersects(subscription.key_expression, self._key_expression)
             for subscription in self._bus.network.subscriptions
         )
-        if self._on_wanted is not None and wanted != self._wanted:
+        if wanted != self._wanted:
             self._wanted = wanted
-            asyncio.get_running_loop().call_soon(self._on_wanted, wanted)
+            self._loop.call_soon(self._on_wanted, wanted)
 
     def close(self) -> None:
-        self._bus.network.publishers.discard(self)
+        self._bus.network.demands.discard(self)
         self._bus.declared.discard(self)
 
 
@@ -144,15 +154,21 @@ class MemoryBus:
         *,
         encoding: str,
         priority: Priority = Priority.DATA,  # noqa: ARG002  - nothing is ever busy here
-        on_wanted: OnWanted | None = None,
     ) -> _Publisher:
         """See `Bus.publisher`."""
         self.check_open()
-        publisher = _Publisher(self, check_key(key), encoding, on_wanted)
-        self.network.publishers.add(publisher)
+        publisher = _Publisher(self, check_key(key), encoding)
         self.declared.add(publisher)
-        publisher.look_for_subscribers()
         return publisher
+
+    def follow_demand(self, key_expression: str, on_wanted: OnWanted) -> Closeable:
+        """See `Bus.follow_demand`."""
+        self.check_open()
+        demand = _Demand(self, check_key_expression(key_expression), on_wanted)
+        self.network.demands.add(demand)
+        self.declared.add(demand)
+        demand.look()
+        return demand
 
     def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:
         """See `Bus.subscribe`."""
@@ -165,12 +181,12 @@ class MemoryBus:
         )
         self.network.subscriptions.add(subscription)
         self.declared.add(subscription)
-        self.network.tell_publishers()
+        self.network.tell_demand()
         return subscription
 
     def _unsubscribe(self, subscription: Subscription[Sample]) -> None:
         self._forget(self.network.subscriptions, subscription)
-        self.network.tell_publishers()
+        self.network.tell_demand()
 
     def _forget(self, group: set[Subscription[T]], subscription: Subscription[T]) -> None:
         group.discard(subscription)

@@ -162,7 +162,6 @@ class ZenohBus:
         *,
         encoding: str,
         priority: Priority = Priority.DATA,
-        on_wanted: OnWanted | None = None,
     ) -> _Publisher:
         """See `Bus.publisher`."""
         self.check_open()
@@ -175,9 +174,36 @@ class ZenohBus:
         )
         publisher = _Publisher(self, declared, key)
         self._declared.add(publisher)
-        if on_wanted is not None:
-            _follow_demand(declared, on_wanted)
         return publisher
+
+    def follow_demand(self, key_expression: str, on_wanted: OnWanted) -> Closeable:
+        """See `Bus.follow_demand`."""
+        self.check_open()
+        publisher = self._session.declare_publisher(check_key_expression(key_expression))
+        loop = asyncio.get_running_loop()
+        wanted = False
+
+        def tell(now: bool) -> None:  # noqa: FBT001  - called back
+            nonlocal wanted
+            if now != wanted and demand in self._declared:
+                wanted = now
+                on_wanted(now)
+
+        def changed(status: zenoh.MatchingStatus) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
+                loop.call_soon_threadsafe(tell, status.matching)
+
+        listener = publisher.declare_matching_listener(changed)
+        # The stub says bool; version 1.10.2 returns a MatchingStatus.
+        loop.call_soon(lambda: tell(publisher.matching_status.matching))  # type: ignore[attr-defined]
+
+        def end() -> None:
+            listener.undeclare()
+            publisher.undeclare()
+
+        demand = _Declared(self, end)
+        self._declared.add(demand)
+        return demand
 
     def subscribe(self, key_expression: str, delivery: Delivery) -> Subscription[Sample]:
         """See `Bus.subscribe`."""
@@ -367,25 +393,6 @@ class ZenohBus:
             declaration.close()
         self._closed = True
         await asyncio.to_thread(self._session.close)
-
-
-def _follow_demand(publisher: zenoh.Publisher, on_wanted: OnWanted) -> None:
-    loop = asyncio.get_running_loop()
-    wanted = False
-
-    def tell(now: bool) -> None:  # noqa: FBT001  - the callback of the interface
-        nonlocal wanted
-        if now != wanted:
-            wanted = now
-            on_wanted(now)
-
-    def changed(status: zenoh.MatchingStatus) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
-            loop.call_soon_threadsafe(tell, status.matching)
-
-    publisher.declare_matching_listener(changed)
-    # The stub says bool; version 1.10.2 returns a MatchingStatus.
-    loop.call_soon(lambda: tell(publisher.matching_status.matching))  # type: ignore[attr-defined]
 
 
 async def _open_session(

@@ -18,7 +18,7 @@ import msgspec
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
 from vertebra import __version__, heartbeat
-from vertebra.bus import Bus, OnWanted, Priority, Reply, Request, ZenohBus
+from vertebra.bus import Bus, Priority, Reply, Request, ZenohBus
 from vertebra.codec import CodecRegistry
 from vertebra.errors import ConfigError, VertebraError
 from vertebra.keys import CONTROL_PREFIX
@@ -72,12 +72,7 @@ class Context(Generic[S]):
         return service_key(self.name, self.settings.instance, leaf)
 
     def publisher(
-        self,
-        key: str,
-        *,
-        priority: Priority = Priority.DATA,
-        origin: str = "",
-        on_wanted: OnWanted | None = None,
+        self, key: str, *, priority: Priority = Priority.DATA, origin: str = ""
     ) -> MessagePublisher:
         """Return a publisher of messages whose origin is this service unless said otherwise."""
         return MessagePublisher(
@@ -86,7 +81,6 @@ class Context(Generic[S]):
             key,
             priority=priority,
             origin=origin or self.name,
-            on_wanted=on_wanted,
         )
 
     def ready(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
-from vertebra.bus import Bus, OnWanted, Priority, Sample, Subscription
+from vertebra.bus import Bus, Priority, Sample, Subscription
 from vertebra.codec import ENCODING, CodecRegistry
 from vertebra.errors import CodecError, DecodeError
 from vertebra.messages import Header, Message
@@ -31,11 +31,8 @@ class MessagePublisher:
         priority: Priority = Priority.DATA,
         origin: str = "",
         encoding: str = ENCODING,
-        on_wanted: OnWanted | None = None,
     ) -> None:
-        self._publisher = bus.publisher(
-            key, encoding=encoding, priority=priority, on_wanted=on_wanted
-        )
+        self._publisher = bus.publisher(key, encoding=encoding, priority=priority)
         self._codecs = codecs
         self._origin = origin
         self._encoding = encoding

@@ -149,27 +149,33 @@ class BusSuite(ABC):
         subscription.close()
         assert await asyncio.wait_for(waiter, TIMEOUT_S) is None
 
-    async def test_publisher_is_told_when_it_is_wanted(self, pair: tuple[Bus, Bus]) -> None:
+    @pytest.mark.parametrize("followed", ["suite/wanted/a", "suite/*/a"])
+    async def test_demand_is_told_when_it_begins_and_ends(
+        self, pair: tuple[Bus, Bus], followed: str
+    ) -> None:
         here, there = pair
         told: list[bool] = []
-        here.publisher("suite/wanted", encoding="", on_wanted=told.append)
-        first = there.subscribe("suite/*", Delivery.latest())
+        demand = here.follow_demand(followed, told.append)
+        first = there.subscribe("suite/**", Delivery.latest())
         await eventually(lambda: told == [True])
-        second = there.subscribe("suite/wanted", Delivery.latest())
+        second = there.subscribe("suite/wanted/a", Delivery.latest())
         first.close()
         await self.reach(there, here)
         assert told == [True]
         second.close()
         await eventually(lambda: told == [True, False])
+        demand.close()
+        demand.close()
+        async with there.subscribe("suite/wanted/a", Delivery.latest()):
+            await self.reach(there, here)
+        assert told == [True, False]
 
-    async def test_publisher_learns_of_subscribers_that_were_there_before(
-        self, pair: tuple[Bus, Bus]
-    ) -> None:
+    async def test_demand_that_was_there_before_is_told(self, pair: tuple[Bus, Bus]) -> None:
         here, there = pair
         told: list[bool] = []
         async with there.subscribe("suite/wanted", Delivery.latest()):
             await self.reach(there, here)
-            here.publisher("suite/wanted", encoding="", on_wanted=told.append)
+            here.follow_demand("suite/wanted", told.append)
             await eventually(lambda: told == [True])
 
     async def test_call_is_answered(self, pair: tuple[Bus, Bus]) -> None:
