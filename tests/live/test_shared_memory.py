@@ -22,7 +22,7 @@ pytestmark = [
     ),
 ]
 
-IMAGES = 60
+IMAGES = 30
 PROGRAM = """
 import asyncio, json, sys
 from vertebra.bus import Delivery, ZenohBus
@@ -34,7 +34,7 @@ async def publish(bus, number):
     await wanted.wait()
     for _ in range(int(sys.argv[4])):
         publisher.put(bytes(230_460))
-        await asyncio.sleep(0.04)
+        await asyncio.sleep(0.1)
     info = bus.info()
     return {"shared_memory": info.shared_memory, "misses": info.shared_memory_misses}
 
