@@ -186,7 +186,7 @@ test("gives the samples of a subscription, with message, header and age", async 
   const handle = vertebra.subscribe("a/*", { maxRateHz: 5, form: "frame" }, (sample) => samples.push(sample));
   const [order] = socket().ops("subscribe");
   assert.deepEqual(order, {
-    op: "subscribe", id: handle.id, key: "a/*", max_rate_hz: 5, form: "frame", window: 2,
+    op: "subscribe", id: handle.id, key: "a/*", max_rate_hz: 5, form: "frame", window: 4,
   });
   assert.equal(handle.state, "waiting");
   assert.ok(Number.isNaN(handle.ageMs));

@@ -720,7 +720,7 @@ export class Subscription {
  * @property {number} [depth] how many samples the gateway keeps for a slow reader
  * @property {number} [maxRateHz]
  * @property {number} [window] how many samples may be under way that the callback has not dealt
- *   with; 2 by default, 64 with delivery `queue`; 1 is right for pictures
+ *   with; 4 by default, 64 with delivery `queue`; 1 is right for pictures
  * @property {"frame" | "json" | "jpeg"} [form]
  *
  * @typedef {Object} ClientOptions
@@ -995,7 +995,7 @@ export class Vertebra extends EventTarget {
   #sendSubscribe(subscription) {
     const { delivery, depth, maxRateHz, form } = subscription.options;
     const { id, key } = subscription;
-    const window = subscription.options.window ?? (delivery === "queue" ? 64 : 2);
+    const window = subscription.options.window ?? (delivery === "queue" ? 64 : 4);
     this.#send({ op: "subscribe", id, key, delivery, depth, max_rate_hz: maxRateHz, form, window });
   }
 
