@@ -1,0 +1,123 @@
+"""Every command in README.md runs, and does what README says."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import pytest
+
+from .test_up import ROOT, Up, running
+
+pytestmark = pytest.mark.live
+
+README: Final = (ROOT / "README.md").read_text(encoding="utf-8")
+ELSEWHERE: Final = {
+    "up": ("tests/live/test_up.py", '"up"'),
+    "containers": ("tests/e2e/conftest.py", "DockerCompose"),
+    "test": (".ci/run", "./vertebra test"),
+}
+"""Blocks that a test of their own runs, and what shows that it does."""
+
+
+class Block(NamedTuple):
+    where: str
+    language: str
+    text: str
+
+
+BLOCKS: Final = [
+    Block(*match.groups())
+    for match in re.finditer(r"<!-- run: (\w+) -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
+]
+
+
+def in_fleet(number: int) -> Block:
+    return [block for block in BLOCKS if block.where == "fleet"][number]
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Up, Path]]:
+    """A running fleet, and a folder that looks like its checkout."""
+    with running(tmp_path_factory.mktemp("readme")) as (up, _):
+        folder = tmp_path_factory.mktemp("desk")
+        (folder / "vertebra").symlink_to(ROOT / "vertebra")
+        (folder / ".venv").symlink_to(Path(sys.executable).parents[1])
+        (folder / "deploy").mkdir()
+        (folder / "deploy" / "secrets").symlink_to(up.folder / "secrets")
+        yield up, folder
+
+
+def run(block: Block, up: Up, folder: Path) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", block.text],
+        env=up.environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def test_every_command_is_run_by_some_test() -> None:
+    fences = re.findall(r"^```(?:sh|python)$", README, re.MULTILINE)
+    assert len(fences) == len(BLOCKS)
+    for block in BLOCKS:
+        if block.where not in {"fleet", "python", "check"}:
+            place, sign = ELSEWHERE[block.where]
+            assert sign in (ROOT / place).read_text(encoding="utf-8")
+
+
+def test_curl_drives_and_watches_the_robot(desk: tuple[Up, Path]) -> None:
+    said = run(in_fleet(0), *desk).stdout
+    assert '"online":true' in said
+    assert '"min_deg"' in said
+    assert '"reached":true' in said
+    assert '"neck_yaw":20.0' in said
+    assert '"track_id"' in said
+    folder = desk[1]
+    assert (folder / "snapshot.jpg").read_bytes()[:2] == b"\xff\xd8"
+    assert (folder / "stream.mjpeg").read_bytes().count(b"image/jpeg") > 10
+
+
+def test_a_position_outside_the_limits_is_refused_with_the_limit(desk: tuple[Up, Path]) -> None:
+    said = run(in_fleet(1), *desk).stdout
+    assert '"status":422' in said
+    assert '"limit":{"min":-' in said
+
+
+def test_shell_commands_show_and_move(desk: tuple[Up, Path]) -> None:
+    said = run(
+        in_fleet(2)._replace(text=in_fleet(2).text.replace("doctor", "doctor || true")), *desk
+    )
+    assert "vizzy/head/state" in said.stdout
+    assert '"reached"' in said.stdout
+
+
+def test_python_example_sees_the_camera(desk: tuple[Up, Path]) -> None:
+    up, folder = desk
+    (block,) = (block for block in BLOCKS if block.where == "python")
+    program = block.text.replace("tcp/127.0.0.1:7447", up.environment["VERTEBRA_ROUTER"])
+    assert program != block.text
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "(240, 320, 3)" in done.stdout
+
+
+def test_settings_of_a_lab_are_checked(desk: tuple[Up, Path]) -> None:
+    (block,) = (block for block in BLOCKS if block.where == "check")
+    assert "name_server: 192.168.1.10:10000" in run(block, *desk).stdout
