@@ -26,7 +26,7 @@ from hypothesis import settings
 TESTS: Final = Path(__file__).parent
 ROOT: Final = TESTS.parent
 LANES: Final = (
-    "architecture", "unit", "contract", "conformance", "live", "e2e", "browser", "bench",
+    "architecture", "unit", "contract", "conformance", "live", "browser", "e2e", "bench",
 )  # fmt: skip
 MARKED_LANES: Final = ("live", "e2e", "browser", "bench")
 WATCHED_LANES: Final = ("unit", "contract", "conformance")
@@ -66,6 +66,12 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     item.fixturenames.insert(position, "leaked_tasks")
     if lane in WATCHED_LANES:
         item.fixturenames.insert(position + 1, "watched_loop")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run lane after lane, each in its random order: what is slow and heavy disturbs nobody."""
+    items.sort(key=lambda item: LANES.index(lane_of(item.path)))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -17,6 +17,8 @@ from vertebra.cli.fleet import Program
 from vertebra.service.run import STOP_WITHIN_S
 
 SUPERVISOR: Final = "supervisor"
+_STOPPED_LAST: Final = ("router", "yarp")
+"""The others stop before them, all at once, and so can take their leave."""
 _KILL_AFTER_S: Final = round(STOP_WITHIN_S) + 2
 
 
@@ -102,9 +104,12 @@ def _configure(
     }
     if os.geteuid() == 0:
         parser["supervisord"]["user"] = "root"  # else it warns that it is
-    for priority, name in enumerate(names, 1):
+    others = [name for name in names if name not in _STOPPED_LAST]
+    if others:
+        parser["group:others"] = {"programs": ",".join(others)}
+    for name in names:
         parser[f"program:{name}"] = {
-            "priority": str(priority),  # stopped one by one in the reverse order, the router last
+            "priority": str(_STOPPED_LAST.index(name) if name in _STOPPED_LAST else 999),
             "command": _escaped(shlex.join(_launcher(table, name))),
             "autorestart": "true",
             "startretries": "1000000",  # each a second later than the one before

@@ -46,7 +46,7 @@ OWN_VARIABLES: Final = frozenset({"VERTEBRA_MODELS", "VERTEBRA_REQUIRE", "VERTEB
 FOREIGN_NAME_SERVER: Final = "VERTEBRA_YARP_NAME_SERVER"
 PATIENCE_S: Final = 60.0
 """After this time the dashboard's address is told even if not all services are well."""
-_QUIET_S: Final = 3.0
+_QUIET_S: Final = 5.0
 _LOOK_EVERY_S: Final = 0.1
 _ADDRESS: Final = re.compile(r"([\w.-]+):(\d+)")
 
