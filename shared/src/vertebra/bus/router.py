@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import zenoh
 
+from vertebra.bus.links import LINK_SETTINGS
 from vertebra.errors import ConfigError
 
 
@@ -25,13 +26,12 @@ def running_router(listen: Sequence[str], connect: Sequence[str] = ()) -> Iterat
     config = zenoh.Config()
     try:
         for path, value in {
+            **LINK_SETTINGS,
             "mode": "router",
             "listen/endpoints": list(listen),
             "connect/endpoints": list(connect),
             "connect/timeout_ms": -1,
             "connect/exit_on_failure": False,
-            "scouting/multicast/enabled": False,
-            "transport/shared_memory/transport_optimization/enabled": False,
         }.items():
             config.insert_json5(path, json.dumps(value))
         session = zenoh.open(config)

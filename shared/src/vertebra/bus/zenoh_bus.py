@@ -31,6 +31,7 @@ from vertebra.bus.interface import (
     Reply,
     Request,
 )
+from vertebra.bus.links import LINK_SETTINGS
 from vertebra.bus.shared_memory import SharedMemory
 from vertebra.bus.subscription import Sample, Subscription
 from vertebra.errors import ConfigError, DeadlineError, NotConnectedError, RemoteError
@@ -118,6 +119,7 @@ class ZenohBus:
         config = zenoh.Config()
         try:
             for path, value in {
+                **LINK_SETTINGS,
                 "mode": "client",
                 "connect/endpoints": [router],
                 "connect/timeout_ms": _OPEN_ATTEMPT_MS,
@@ -126,9 +128,7 @@ class ZenohBus:
                     "period_max_ms": 1000,
                     "period_increase_factor": 1.5,
                 },
-                "scouting/multicast/enabled": False,
                 "transport/shared_memory/enabled": pool.available,
-                "transport/shared_memory/transport_optimization/enabled": False,
             }.items():
                 config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
