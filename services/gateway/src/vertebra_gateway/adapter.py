@@ -18,7 +18,7 @@ from vertebra.service import Context
 from vertebra_gateway.app import make_app
 from vertebra_gateway.auth import Guard
 from vertebra_gateway.fleet import Fleet
-from vertebra_gateway.link import HttpLink, WebSocketLink, limit_send_buffer
+from vertebra_gateway.link import HttpLink, WebSocketLink, limit_unsent
 from vertebra_gateway.profile import load_profiles
 from vertebra_gateway.resources import Robots
 from vertebra_gateway.rest import Gateway
@@ -125,7 +125,7 @@ def listening(host: str, tcp_port: int) -> Iterator[socket.socket]:
             )[0]
             listener = opened.enter_context(socket.socket(family, kind, protocol))
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            limit_send_buffer(listener)
+            limit_unsent(listener)
             listener.bind(address)
             listener.listen()
         except OSError as error:

@@ -20,13 +20,17 @@ from websockets.frames import Frame
 
 UNTIL_READ: Final = "vertebra.until_read"
 """ASGI extension of a WebSocket scope: `{"wait": <coroutine function>}`."""
-SEND_BUFFER_BYTES: Final = 64 << 10
+UNSENT_BYTES: Final = 16 << 10
 _ABORT_AFTER_S: Final = 1.0
 
 
-def limit_send_buffer(listener: socket.socket) -> None:
-    """Keep the kernel's buffer small for all connections that this socket will accept."""
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+def limit_unsent(listener: socket.socket) -> None:
+    """Let the kernel keep little that it cannot send yet, on all connections accepted here.
+
+    What is on its way to a reader that keeps up is not limited by this, as it would be by a small
+    send buffer.
+    """
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
 
 
 class HttpLink(H11Protocol):

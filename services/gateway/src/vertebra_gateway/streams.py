@@ -131,21 +131,22 @@ class Outlet:
 
     def _offer_latest(self, item: Item) -> None:
         slot = self._slots.get(item.key)
-        due_s = self._due_s.get(item.key, 0.0) if self._period_s else 0.0
-        early = due_s > 0.0 and due_s > self._loop.time()
+        if slot is None and len(self._slots) >= MAX_KEYS:
+            self.dropped += 1
+            return
+        now_s = self._loop.time() if self._period_s else 0.0
+        due_s = self._due_s.setdefault(item.key, now_s) if self._period_s else 0.0
         if slot is None:
-            if len(self._slots) >= MAX_KEYS:
-                self.dropped += 1
-                return
             slot = self._slots[item.key] = deque()
-            if early:
+            if due_s > now_s:
                 self._loop.call_at(due_s, self._wake)
         elif len(slot) >= self._delivery.depth or not self._fits(item):
             self._count(slot.popleft(), -1)
-            self.dropped += not early  # what the viewer's own rate limit skips is not lost
+            # What the viewer's own rate limit skips is not lost.
+            self.dropped += now_s >= due_s + self._period_s
         slot.append(item)
         self._count(item)
-        if not early:
+        if due_s <= now_s:
             self._wake()
 
     def take(self) -> Item | None:
