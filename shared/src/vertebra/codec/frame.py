@@ -35,6 +35,52 @@ class _FrameHeader(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     buffers: list[int] = msgspec.field(default_factory=list)
 
 
+_HEADER_DECODER: Final = msgspec.msgpack.Decoder(_FrameHeader)
+_ARRAY_DECODER: Final = msgspec.msgpack.Decoder(tuple[int, str, tuple[int, ...]])
+
+
+class _Packer:
+    """Turns what a message holds beside plain values into extensions.
+
+    This and `_Unpacker` are no functions inside functions: one that refers to itself is a reference
+    cycle, which would keep each image until the garbage collector comes by.
+    """
+
+    def __init__(self, values: ValueCodecs) -> None:
+        self.buffers: list[memoryview] = []
+        self._values = values
+
+    def pack(self, value: Any) -> msgspec.msgpack.Ext:
+        if isinstance(value, Array):
+            self.buffers.append(value.data)
+            reference = (len(self.buffers) - 1, value.dtype, value.shape)
+            return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(reference))
+        foreign = value if isinstance(value, Foreign) else self._values.pack(value)
+        body = msgspec.msgpack.encode((foreign.tag, foreign.plain), enc_hook=self.pack)
+        return msgspec.msgpack.Ext(_FOREIGN, body)
+
+
+class _Unpacker:
+    """Turns extensions back into what they were; each buffer may be used once."""
+
+    def __init__(self, values: ValueCodecs, buffers: list[memoryview]) -> None:
+        self.unused = set(range(len(buffers)))
+        self._values = values
+        self._buffers = buffers
+
+    def unpack(self, code: int, body: memoryview) -> Any:
+        if code == _ARRAY:
+            index, dtype, shape = _ARRAY_DECODER.decode(body)
+            if index not in self.unused:
+                raise ValueError(f"buffer {index} does not exist or is used twice")
+            self.unused.remove(index)
+            return Array(self._buffers[index], dtype, shape)
+        if code == _FOREIGN:
+            tag, plain = msgspec.msgpack.decode(body, type=tuple[str, Any], ext_hook=self.unpack)
+            return self._values.unpack(Foreign(tag=tag, plain=plain))
+        raise ValueError(f"unknown extension type {code}")
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """An encoded message whose buffers are not gathered yet: `bytes(frame)` copies each once.
@@ -91,19 +137,10 @@ class FrameCodec:
         Raises:
             EncodeError: A value inside the message has no form in a frame.
         """
-        buffers: list[memoryview] = []
-
-        def pack(value: Any) -> msgspec.msgpack.Ext:
-            if isinstance(value, Array):
-                buffers.append(value.data)
-                reference = (len(buffers) - 1, value.dtype, value.shape)
-                return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(reference))
-            foreign = value if isinstance(value, Foreign) else self._values.pack(value)
-            body = msgspec.msgpack.encode((foreign.tag, foreign.plain), enc_hook=pack)
-            return msgspec.msgpack.Ext(_FOREIGN, body)
-
+        packer = _Packer(self._values)
+        buffers = packer.buffers
         try:
-            fields = msgspec.msgpack.encode(message, enc_hook=pack)
+            fields = msgspec.msgpack.encode(message, enc_hook=packer.pack)
             head = msgspec.msgpack.encode(
                 _FrameHeader(
                     schema=message.schema(),
@@ -146,34 +183,23 @@ class FrameCodec:
         message_type = self._types.get(header.schema)
         if message_type is None:
             raise CodecNotFoundError(self._unknown(header.schema))
-        unused = set(range(len(buffers)))
-
-        def unpack(code: int, body: memoryview) -> Any:
-            if code == _ARRAY:
-                index, dtype, shape = msgspec.msgpack.decode(
-                    body, type=tuple[int, str, tuple[int, ...]]
-                )
-                if index not in unused:
-                    raise ValueError(f"buffer {index} does not exist or is used twice")
-                unused.remove(index)
-                return Array(buffers[index], dtype, shape)
-            if code == _FOREIGN:
-                tag, plain = msgspec.msgpack.decode(body, type=tuple[str, Any], ext_hook=unpack)
-                return self._values.unpack(Foreign(tag=tag, plain=plain))
-            raise ValueError(f"unknown extension type {code}")
-
+        unpacker = _Unpacker(self._values, buffers)
         message = _guarded(
             f"the fields of this {header.schema}",
-            lambda: msgspec.msgpack.decode(header.fields, type=message_type, ext_hook=unpack),
+            lambda: msgspec.msgpack.decode(
+                header.fields, type=message_type, ext_hook=unpacker.unpack
+            ),
         )
-        if unused:  # a later minor version may have arrays in fields that are unknown here
-            unused = set(range(len(buffers)))
+        if unpacker.unused:  # a later minor version may have arrays in fields that are unknown here
+            unpacker = _Unpacker(self._values, buffers)
             _guarded(
                 f"the fields of this {header.schema}",
-                lambda: msgspec.msgpack.decode(header.fields, ext_hook=unpack),
+                lambda: msgspec.msgpack.decode(header.fields, ext_hook=unpacker.unpack),
             )
-        if unused:
-            raise DecodeError(f"buffer {min(unused)} of {len(buffers)} is not used by any array")
+        if unpacker.unused:
+            raise DecodeError(
+                f"buffer {min(unpacker.unused)} of {len(buffers)} is not used by any array"
+            )
         return message, Header(
             captured_ns=header.captured_ns,
             sequence=header.sequence,
@@ -199,7 +225,7 @@ class FrameCodec:
         position = _PREFIX_BYTES + length
         header = _guarded(
             "the header",
-            lambda: msgspec.msgpack.decode(view[_PREFIX_BYTES:position], type=_FrameHeader),
+            lambda: _HEADER_DECODER.decode(view[_PREFIX_BYTES:position]),
         )
         if len(header.buffers) > MAX_BUFFERS:
             raise DecodeError(f"{len(header.buffers)} buffers, the limit is {MAX_BUFFERS}")
