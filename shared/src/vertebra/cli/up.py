@@ -136,9 +136,17 @@ def _prepare(root: Path, programs: Sequence[Program], variables: Mapping[str, st
         secrets = {"VERTEBRA_SECRETS": variables.get("VERTEBRA_SECRETS", "deploy/secrets")}
         subprocess.run(command, cwd=root, env=os.environ | secrets, check=True)  # noqa: S603
     if "face_tracking" in names:
-        models = [sys.executable, "-m", "vertebra_face_tracking.models"]
-        fetch = [*models, "fetch", "--into", str(models_folder(root))]
-        if subprocess.run(fetch, stdout=subprocess.DEVNULL, check=False).returncode:  # noqa: S603
+        folder = models_folder(root)
+        fetch = [
+            sys.executable,
+            "-m",
+            "vertebra_face_tracking.models",
+            "fetch",
+            "--into",
+            str(folder),
+        ]
+        said = subprocess.DEVNULL if any(folder.glob("*")) else None  # the first time takes long
+        if subprocess.run(fetch, stdout=said, check=False).returncode:  # noqa: S603
             _say("the face models are missing: the fleet starts without face tracking")
 
 
