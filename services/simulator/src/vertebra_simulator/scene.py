@@ -23,8 +23,8 @@ _PIXELS_PER_METRE: Final = 100
 
 # The portrait is a square; the middle of the face lies at these fractions of it.
 _PERSON_M: Final = 0.8
-_FACE_ACROSS: Final = 0.444
-_FACE_DOWN: Final = 0.22
+_FACE_ACROSS: Final = 0.44
+_FACE_DOWN: Final = 0.234
 
 
 @dataclass(frozen=True, slots=True)
