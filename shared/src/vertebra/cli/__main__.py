@@ -22,7 +22,10 @@ def main() -> int:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in (up, doctor, keys, echo, pub, call, test, check, bench):
         module.add_to(commands)
-    arguments = parser.parse_args()
+    arguments, others = parser.parse_known_args()
+    if others and "pytest_arguments" not in arguments:
+        parser.error(f"unrecognized arguments: {' '.join(others)}")
+    arguments.pytest_arguments = others
     try:
         status: int = arguments.run(arguments)
         sys.stdout.flush()

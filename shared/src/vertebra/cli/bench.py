@@ -11,14 +11,18 @@ from vertebra.cli.checkout import checkout
 
 def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
-    parser = commands.add_parser("bench", help="measure, side by side with what others have")
-    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="what pytest is told as well")
-    parser.set_defaults(run=run)
+    parser = commands.add_parser(
+        "bench",
+        usage="%(prog)s [-h] [PYTEST ARGUMENT ...]",
+        help="measure, side by side with what others have",
+        description="Run the lane bench of the tests, which prints its measurements.",
+    )
+    parser.set_defaults(run=run, pytest_arguments=[])
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the lane `bench` and return the exit status of pytest."""
     command = [sys.executable, "-m", "pytest", "-m", "bench", "-s", "-p", "no:randomly"]
     return subprocess.run(  # noqa: S603 - our own interpreter; the arguments are the user's
-        [*command, *arguments.arguments, "tests/bench"], cwd=checkout(), check=False
+        [*command, *arguments.pytest_arguments, "tests/bench"], cwd=checkout(), check=False
     ).returncode

@@ -13,17 +13,17 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     """Describe the command."""
     parser = commands.add_parser(
         "test",
+        usage="%(prog)s [-h] [PYTEST ARGUMENT ...]",
         help="run the tests; what was skipped, and how to enable it, is listed at the end",
-        description="Run pytest on all lanes but bench. In lanes that VERTEBRA_REQUIRE names "
-        "(live,e2e,browser) a skip is a failure.",
+        description="Run pytest, without arguments on all lanes but bench. In lanes that "
+        "VERTEBRA_REQUIRE names (live,e2e,browser) a skip is a failure.",
     )
-    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="what pytest is told instead")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, pytest_arguments=[])
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run pytest and return its exit status."""
-    asked = arguments.arguments or ["-m", "not bench"]
+    asked = arguments.pytest_arguments or ["-m", "not bench"]
     return subprocess.run(  # noqa: S603 - our own interpreter; the arguments are the user's
         [sys.executable, "-m", "pytest", *asked], cwd=checkout(), check=False
     ).returncode
