@@ -19,7 +19,7 @@ import numpy as np
 
 from vertebra.bus import Bus, Priority, Reply, Request, ZenohBus
 from vertebra.bus.router import running_router
-from vertebra.codec import CodecRegistry
+from vertebra.codec import ENCODING, CodecRegistry
 from vertebra.messages import Array, Box, Face, Faces, Image
 from vertebra.service import MessagePublisher
 from vertebra.testing.ports import free_tcp_port
@@ -111,7 +111,12 @@ class Robot(FakeRobot):
         self.blind = False
         self.still = False
         self._images = MessagePublisher(bus, codecs, "vizzy/camera/left", priority=Priority.BULK)
+        self._imu = bus.publisher("vizzy/imu", encoding=ENCODING)
         self._faces = MessagePublisher(bus, codecs, "vizzy/camera/left/faces")
+
+    def publish_rubbish(self) -> None:
+        """Publish on the IMU's key what is no frame, though it says so."""
+        self._imu.put(b"rubbish")
 
     async def live(self) -> None:
         """Publish joints, images and faces, for ever."""

@@ -138,6 +138,20 @@ async def test_streams_and_services_are_listed(lab: Lab, page: Page) -> None:
         await expect(service).to_have_attribute("data-state", "ok")
 
 
+async def test_damaged_data_are_reported_and_the_picture_goes_on(lab: Lab, page: Page) -> None:
+    async with lab.robot() as robot:
+        await expect(page.locator(LIVE)).to_be_visible()
+        for _ in range(2):
+            robot.publish_rubbish()
+            await asyncio.sleep(0.1)
+        problem = page.locator("#problems li")
+        await expect(problem).to_contain_text("a sample of vizzy/imu: a frame begins with")
+        await expect(problem).to_contain_text("(2 times)")
+        await expect(page.locator(LIVE)).to_be_visible()
+        await page.locator("#problems button").click()
+        await expect(page.locator("#problems")).to_be_hidden()
+
+
 async def test_dragging_a_slider_moves_the_joint_by_the_newest_value_only(
     lab: Lab, page: Page
 ) -> None:
@@ -147,6 +161,7 @@ async def test_dragging_a_slider_moves_the_joint_by_the_newest_value_only(
         slider = yaw.locator("input")
         await expect(slider).to_be_enabled()
         await expect(yaw.locator(".measured")).to_have_text("at 0.0°")
+        await expect(page.locator(".readings")).to_have_count(0)
         began_s = time.monotonic()
         await drag(page, slider, 0.5, 0.9, steps=60)
         wanted = float(await slider.input_value())

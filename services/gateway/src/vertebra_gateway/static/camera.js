@@ -102,9 +102,10 @@ export class CameraCard {
     const line = imageWidth / 20;
     const plateWidth = line * (0.5 + 0.36 * text.length);
     const top = y >= line ? y - line : y + height;
+    const left = Math.max(0, Math.min(x, imageWidth - plateWidth));
     const box = shape("rect", { class: "box", x, y, width, height, "data-track-id": face.track_id });
-    const plate = shape("rect", { class: "plate", x, y: top, width: plateWidth, height: line });
-    const label = shape("text", { x: x + 0.25 * line, y: top + 0.72 * line });
+    const plate = shape("rect", { class: "plate", x: left, y: top, width: plateWidth, height: line });
+    const label = shape("text", { x: left + 0.25 * line, y: top + 0.72 * line });
     label.textContent = text;
     return [box, plate, label];
   }

@@ -8,6 +8,7 @@ const RENDER_PERIOD_MS = 250;
 const FLEET_PERIOD_MS = 2000;
 const STALE_AFTER_MS = 1000;
 const STALE_AFTER_PERIODS = 5;
+const RATE_OVER = 50;
 const SILENT_AFTER_S = 5;
 const CALL_TIMEOUT_S = 10;
 const MAX_PROBLEMS = 4;
@@ -57,6 +58,7 @@ class Stream {
   #ageOnArrivalMs = NaN;
   #arrivedAt = -Infinity;
   #periodMs = 0;
+  #gaps = 0;
 
   /** @param {any} resource @param {(sample: any) => void} onSample */
   constructor(resource, onSample) {
@@ -74,8 +76,12 @@ class Stream {
   #arrived(now) {
     const gapMs = now - this.#arrivedAt;
     // A pause is not a period: after it the rate is measured anew.
-    if (gapMs > this.#patienceMs()) this.#periodMs = 0;
-    else this.#periodMs = this.#periodMs ? 0.9 * this.#periodMs + 0.1 * gapMs : gapMs;
+    if (gapMs > this.#patienceMs()) {
+      this.#gaps = this.#periodMs = 0;
+    } else {
+      this.#gaps = Math.min(this.#gaps + 1, RATE_OVER);
+      this.#periodMs += (gapMs - this.#periodMs) / this.#gaps;
+    }
     this.#arrivedAt = now;
   }
 
@@ -152,7 +158,7 @@ class ReadingsCard {
     this.element.dataset.state = state;
     setText(this.element.querySelector(".facts"), state === "live" ? `${rateHz.toFixed(0)} Hz` : text);
     const list = this.element.querySelector("dl");
-    const entries = Object.entries(this.#message ?? {}).filter(([, value]) => value !== null && value !== "");
+    const entries = Object.entries(this.#message ?? {}).filter(([, value]) => value !== null && value.length !== 0);
     while (list.children.length < 2 * entries.length) {
       list.append(document.createElement("dt"), document.createElement("dd"));
     }
@@ -256,15 +262,25 @@ class Robot {
   }
 
   #take(resource, sample) {
+    if (this.#place(resource, sample)) this.#removeReadings(resource.key);
+    else this.#readings(resource).take(sample);
+  }
+
+  /** Show a sample where it belongs; return whether there is such a place. */
+  #place(resource, sample) {
     const own = this.#cards.get(resource.key);
-    if (sample.schema === "vertebra/Image/1" && own instanceof CameraCard) {
-      own.image(sample);
-    } else if (sample.schema === "vertebra/Faces/1" && this.#cameraOf(resource)) {
-      this.#cameraOf(resource).faces(sample);
-    } else if (sample.schema === "vertebra/JointState/1" && this.#measure(sample.message)) {
-      return;
-    } else {
-      this.#readings(resource).take(sample);
+    switch (sample.schema) {
+      case "vertebra/Image/1":
+        if (!(own instanceof CameraCard)) return false;
+        own.image(sample);
+        return true;
+      case "vertebra/Faces/1":
+        this.#cameraOf(resource)?.faces(sample);
+        return this.#cameraOf(resource) !== null;
+      case "vertebra/JointState/1":
+        return this.#measure(sample.message);
+      default:
+        return false;
     }
   }
 
@@ -285,6 +301,14 @@ class Robot {
     this.#cards.set(resource.key, card);
     this.controls.append(card.element);
     return card;
+  }
+
+  /** A message may find its place later than it comes: sliders need the robot's limits. */
+  #removeReadings(key) {
+    const card = this.#cards.get(key);
+    if (!(card instanceof ReadingsCard)) return;
+    card.element.remove();
+    this.#cards.delete(key);
   }
 
   /** Take over what the gateway says now. @param {any} description */
@@ -393,7 +417,7 @@ class Fleet {
 
   async follow() {
     for (;;) {
-      if (client.state === "open") await this.#ask();
+      if (client.state !== "waiting") await this.#ask();
       this.#sayAge();
       await new Promise((resolve) => setTimeout(resolve, FLEET_PERIOD_MS));
     }
@@ -526,7 +550,10 @@ function readable(value) {
 const problems = new Problems();
 const robots = new Robots();
 
-client.addEventListener("error", (event) => problems.add(event.detail.message));
+client.addEventListener("error", (event) => {
+  event.preventDefault(); // it is shown here, the console need not repeat it
+  problems.add(event.detail.message);
+});
 client.addEventListener("robots", (event) => robots.update(event.detail));
 client.addEventListener("state", (event) => {
   showConnection();
