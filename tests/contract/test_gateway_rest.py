@@ -547,3 +547,51 @@ async def test_json_documents_are_encoded_once_for_all_viewers(rig: Rig) -> None
         item = await one.next()
         assert item is await two.next()
         assert json.loads(item.payload)["schema"] == "vertebra/JointState/1"
+
+
+async def test_a_late_viewer_gets_the_newest_value_with_its_age_now(rig: Rig) -> None:
+    streams = rig.gateway.streams
+    rig.robot.publish_state()
+    with streams.viewing("vizzy/head/state", "json") as one:
+        await one.next()
+        await asyncio.sleep(0.1)
+        with streams.viewing("vizzy/head/state", "json") as late:
+            assert json.loads((await late.next()).payload)["age_s"] >= 0.1
+
+
+async def test_images_that_come_faster_than_they_are_encoded_are_skipped_and_counted(
+    rig: Rig,
+) -> None:
+    streams = rig.gateway.streams
+    with streams.viewing("vizzy/camera/left", "jpeg") as viewer:
+        for shade in range(20):
+            rig.robot.publish_image(shade)
+        counts = streams.counts
+        await eventually(lambda: counts.jpegs + counts.jpegs_skipped == 20)
+        newest = await viewer.next()
+    shown = PIL.Image.open(io.BytesIO(newest.payload)).getpixel((1, 1))
+    assert isinstance(shown, tuple)
+    assert abs(shown[0] - 19) <= 2
+    assert streams.counts.jpegs_skipped > 0
+
+
+async def test_mjpeg_sends_parts_until_the_gateway_stops(rig: Rig) -> None:
+    """Over ASGI alone; sockets and slow readers are tried in the live lane."""
+    path = "/api/robots/vizzy/camera/left/stream"
+
+    async def stop_later() -> None:
+        await eventually(lambda: rig.gateway.streams.counts.jpegs > 3)
+        rig.gateway.streams.close()
+
+    stopping = asyncio.create_task(stop_later())
+    response = await rig.publish_until(rig.get(path), rig.robot.publish_image)
+    await stopping
+    assert response.headers["content-type"].startswith("multipart/x-mixed-replace; boundary=")
+    boundary = response.headers["content-type"].partition("=")[2].encode()
+    parts = response.content.split(b"--" + boundary + b"\r\n")
+    assert parts[0] == b""
+    assert len(parts) > 2
+    for part in parts[1:-1]:
+        head, _, body = part.partition(b"\r\n\r\n")
+        assert head.startswith(b"Content-Type: image/jpeg\r\n")
+        assert b"\r\nContent-Length: %d\r\n" % (len(body) - 2) in head

@@ -9,7 +9,7 @@ from typing import Final
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from vertebra.errors import NotConnectedError
+from vertebra.errors import EncodeError, NotConnectedError
 from vertebra_gateway.streams import Item, Streams, Viewer
 
 _BOUNDARY: Final = "vertebra-image"
@@ -42,7 +42,8 @@ async def _send_images(viewer: Viewer, send: Send) -> None:
         await send({"type": "http.response.body", "body": body, "more_body": more})
 
     await give(f"--{_BOUNDARY}\r\n".encode())
-    with contextlib.suppress(NotConnectedError):  # the gateway stops: the stream just ends
+    # Where the gateway stops, or no images come any more, the stream just ends.
+    with contextlib.suppress(NotConnectedError, EncodeError):
         while True:
             # Sending nothing waits until the reader has taken what was sent before (`HttpLink`):
             # only then is the next image chosen.

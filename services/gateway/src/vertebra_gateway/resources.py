@@ -18,7 +18,7 @@ from vertebra_gateway.profile import Profile, Resource
 
 log = logging.getLogger(__name__)
 
-_ASK_EVERY_S: Final = 2.0
+_ASK_EVERY_S: Final = 3.0
 _ASK_AGAIN_S: Final = 0.5
 _JSON: Final = "application/json"
 
@@ -162,15 +162,19 @@ class Robots:
             if expression:
                 watcher = self._bus.presence(expression)
                 tasks.create_task(_watch(watcher, present, news))
+            failures = 0
             while True:
                 news.clear()
                 if expression and not present:
                     self._update(robot, f"nobody is present at {expression}", robot.limits)
                 else:
                     reason, limits = await self._ask(robot)
-                    self._update(robot, reason, limits)
+                    failures = failures + 1 if reason else 0
+                    if failures != 1 or not robot.online:  # one answer may be late
+                        self._update(robot, reason, limits)
+                well = robot.online and not failures
                 try:
-                    async with asyncio.timeout(_ASK_EVERY_S if robot.online else _ASK_AGAIN_S):
+                    async with asyncio.timeout(_ASK_EVERY_S if well else _ASK_AGAIN_S):
                         await news.wait()
                 except TimeoutError:
                     continue

@@ -11,7 +11,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, Literal
@@ -198,36 +198,30 @@ class _Form(ABC):
 
     def __init__(self) -> None:
         self.outlets: set[Outlet] = set()
-        self._newest: OrderedDict[str, Item] = OrderedDict()
 
     @abstractmethod
     def offer(self, item: Item) -> None:
         """Take in a sample as it came from the bus."""
 
+    @abstractmethod
+    def welcome(self, outlet: Outlet, newest: Iterable[Item]) -> None:
+        """Give a new viewer the newest sample of each key, as they came from the bus."""
+
     def close(self) -> None:  # noqa: B027  - most forms have nothing to end
         """Stop working."""
 
-    def add(self, outlet: Outlet) -> None:
-        """Let a viewer in; it gets the newest value of each key at once."""
-        self.outlets.add(outlet)
-        for item in self._newest.values():
-            outlet.offer(item)
-
     def _give(self, item: Item) -> None:
-        self._newest[item.key] = item
-        if len(self._newest) > MAX_KEYS:
-            self._newest.popitem(last=False)
         for outlet in self.outlets:
             outlet.offer(item)
-
-    def _refuse(self, item: Item, error: CodecError) -> None:
-        for outlet in self.outlets:
-            outlet.refuse(f"{item.key}: {error}")
 
 
 class _Frames(_Form):
     def offer(self, item: Item) -> None:
         self._give(item)
+
+    def welcome(self, outlet: Outlet, newest: Iterable[Item]) -> None:
+        for item in newest:
+            outlet.offer(item)
 
 
 class _Documents(_Form):
@@ -236,10 +230,20 @@ class _Documents(_Form):
         self._codecs = codecs
 
     def offer(self, item: Item) -> None:
+        self._offer(item, self.outlets)
+
+    def welcome(self, outlet: Outlet, newest: Iterable[Item]) -> None:
+        for item in newest:
+            self._offer(item, {outlet})
+
+    def _offer(self, item: Item, outlets: set[Outlet]) -> None:
         try:
-            self._give(to_document(item, self._codecs))
+            document = to_document(item, self._codecs)
         except CodecError as error:
-            self._refuse(item, error)
+            _refuse(outlets, item, error)
+            return
+        for outlet in outlets:
+            outlet.offer(document)
 
 
 class _Pictures(_Form):
@@ -260,6 +264,7 @@ class _Pictures(_Form):
         self._quality = quality
         self._count = count
         self._waiting: OrderedDict[str, Item] = OrderedDict()
+        self._newest: OrderedDict[str, Item] = OrderedDict()
         self._task: asyncio.Task[None] | None = None
 
     def offer(self, item: Item) -> None:
@@ -268,6 +273,13 @@ class _Pictures(_Form):
         self._waiting[item.key] = item
         if self._task is None:
             self._task = self._tasks.create_task(self._encode())
+
+    def welcome(self, outlet: Outlet, newest: Iterable[Item]) -> None:
+        if len(self.outlets) == 1:
+            for item in newest:
+                self.offer(item)
+        for picture in self._newest.values():
+            outlet.offer(picture)
 
     def close(self) -> None:
         if self._task is not None:
@@ -281,11 +293,20 @@ class _Pictures(_Form):
                 message, header = self._codecs.decode(item.payload, item.encoding)
                 payload = await loop.run_in_executor(self._thread, to_jpeg, message, self._quality)
             except CodecError as error:
-                self._refuse(item, error)
+                _refuse(self.outlets, item, error)
                 continue
             self._count.jpegs += 1
-            self._give(item.encoded("image/jpeg", payload, header.captured_ns))
+            picture = item.encoded("image/jpeg", payload, header.captured_ns)
+            self._newest[item.key] = picture
+            if len(self._newest) > MAX_KEYS:
+                self._newest.popitem(last=False)
+            self._give(picture)
         self._task = None
+
+
+def _refuse(outlets: Iterable[Outlet], item: Item, error: CodecError) -> None:
+    for outlet in outlets:
+        outlet.refuse(f"{item.key}: {error}")
 
 
 def to_document(item: Item, codecs: CodecRegistry) -> Item:
@@ -386,10 +407,11 @@ class Feed:
         return self._subscription.lost + self._subscription.dropped
 
     def close(self) -> None:
-        """End the subscription."""
+        """End the subscription; what still waits in it goes to nobody."""
         self._subscription.close()
         for form in self.forms.values():
             form.close()
+        self.forms.clear()
 
     async def _read(self) -> None:
         async for sample in self._subscription:
@@ -455,23 +477,25 @@ class Streams:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="jpeg")
         self._feeds: dict[str, Feed] = {}
         self._viewers: set[Viewer] = set()
+        self._closed = False
 
     def attach(self, key_expression: str, form: FormName, outlet: Outlet) -> Feed:
-        """Let an outlet see what comes on a key expression, until it is detached.
+        """Let an outlet see what is known and what comes on a key expression, until detached.
 
         Raises:
             NameMappingError: `key_expression` is none.
-            NotConnectedError: The bus is closed.
+            NotConnectedError: The gateway stops.
         """
+        if self._closed:
+            raise NotConnectedError("the gateway stops")
         feed = self._feeds.get(key_expression)
         if feed is None:
             feed = self._feeds[key_expression] = Feed(self._bus, self._tasks, key_expression)
         viewers = feed.forms.get(form)
         if viewers is None:
             viewers = feed.forms[form] = self._form(form)
-            for item in feed.newest.values():
-                viewers.offer(item)
-        viewers.add(outlet)
+        viewers.outlets.add(outlet)
+        viewers.welcome(outlet, feed.newest.values())
         return feed
 
     def _form(self, form: FormName) -> _Form:
@@ -483,6 +507,8 @@ class Streams:
 
     def detach(self, key_expression: str, form: FormName, outlet: Outlet) -> None:
         """Take an outlet off; a form and a feed without viewers end."""
+        if self._closed:
+            return
         feed = self._feeds[key_expression]
         viewers = feed.forms[form]
         viewers.outlets.discard(outlet)
@@ -536,6 +562,7 @@ class Streams:
 
     def close(self) -> None:
         """Send all viewers home and end all feeds."""
+        self._closed = True
         for viewer in tuple(self._viewers):
             viewer.close()
         for feed in self._feeds.values():

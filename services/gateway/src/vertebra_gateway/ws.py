@@ -16,7 +16,7 @@ from vertebra_gateway import ws_protocol
 from vertebra_gateway.link import UNTIL_READ
 from vertebra_gateway.problems import Problem, problem_of
 from vertebra_gateway.resources import Robots
-from vertebra_gateway.streams import Feed, Outlet, Streams
+from vertebra_gateway.streams import Outlet, Streams
 from vertebra_gateway.ws_protocol import (
     SUBPROTOCOL,
     Acknowledge,
@@ -39,8 +39,9 @@ TotalName = Literal["sent", "dropped", "lost"]
 class _Subscription:
     """One subscription of one client."""
 
-    def __init__(self, order: Subscribe, client: Client) -> None:
+    def __init__(self, order: Subscribe, client: Client, streams: Streams) -> None:
         self.order = order
+        self.told = (0, 0)
         self.outlet = Outlet(
             lambda: client.wake(self),
             delivery=order.buffer(),
@@ -48,15 +49,13 @@ class _Subscription:
             window=order.window or 0,
             on_refusal=lambda reason: client.refused(order.id, reason),
         )
-        self.feed: Feed | None = None
-        self.lost_before = 0
-        self.told = (0, 0)
+        self._feed = streams.attach(order.key, order.form, self.outlet)
+        self._lost_before = self._feed.lost
 
     @property
     def counts(self) -> tuple[int, int]:
         """Items dropped because the client is slow, and lost before they got here."""
-        lost = self.feed.lost - self.lost_before if self.feed is not None else 0
-        return self.outlet.dropped, lost
+        return self.outlet.dropped, self._feed.lost - self._lost_before
 
 
 class Client:
@@ -77,6 +76,7 @@ class Client:
         self._answers_changed = asyncio.Event()
         self._answers_changed.set()  # the robots are told at once
         self._answers_taken = asyncio.Event()
+        self._answers_sent = asyncio.Event()
         self._robots_changed = True
         self._ready: dict[_Subscription, None] = {}
         self._ready_changed = asyncio.Event()
@@ -117,9 +117,8 @@ class Client:
 
     def wake(self, subscription: _Subscription) -> None:
         """Have a subscription served: something may wait for the client there."""
-        if self._subscriptions.get(subscription.order.id) is subscription:
-            self._ready[subscription] = None
-            self._ready_changed.set()
+        self._ready[subscription] = None
+        self._ready_changed.set()
 
     def refused(self, subscription_id: int, reason: str) -> None:
         """Tell the client why a subscription brings nothing, unless it reads nothing anyway."""
@@ -128,10 +127,12 @@ class Client:
 
     def _answer(self, text: str) -> None:
         self._answers.append(text)
+        self._answers_sent.clear()
         self._answers_changed.set()
 
     def _tell_robots(self) -> None:
         self._robots_changed = True
+        self._answers_sent.clear()
         self._answers_changed.set()
 
     async def _listen(self, tasks: asyncio.TaskGroup, calls: set[asyncio.Task[None]]) -> None:
@@ -158,23 +159,25 @@ class Client:
 
     def _carry_out(self, order: Order) -> None:
         if isinstance(order, Subscribe):
-            self._answer(ws_protocol.subscribed(order.id))
-            subscription = self._subscriptions[order.id] = _Subscription(order, self)
-            feed = self._streams.attach(order.key, order.form, subscription.outlet)
-            subscription.feed, subscription.lost_before = feed, feed.lost
+            try:
+                self._subscriptions[order.id] = _Subscription(order, self, self._streams)
+            except VertebraError as error:
+                self._conversation.subscriptions.discard(order.id)
+                self._answer(ws_protocol.error(order.id, problem_of(error)))
+            else:
+                self._answer(ws_protocol.subscribed(order.id))
         elif isinstance(order, Unsubscribe):
-            subscription = self._subscriptions.pop(order.id)
-            self._ready.pop(subscription, None)
-            self._leave(subscription)
+            self._leave(self._subscriptions.pop(order.id))
             self._answer(ws_protocol.unsubscribed(order.id))
         elif isinstance(order, Acknowledge):
             self._subscriptions[order.id].outlet.acknowledge()
 
     def _leave(self, subscription: _Subscription) -> None:
-        order = subscription.order
+        self._ready.pop(subscription, None)
         dropped, lost = subscription.counts
         self._gone_drops[0] += dropped
         self._gone_drops[1] += lost
+        order = subscription.order
         self._streams.detach(order.key, order.form, subscription.outlet)
 
     async def _call(self, order: Call) -> None:
@@ -198,6 +201,7 @@ class Client:
                     text = self._answers.popleft()
                     self._answers_taken.set()
                 await self._websocket.send({"type": "websocket.send", "text": text})
+            self._answers_sent.set()
 
     async def _send_data(self) -> None:
         until_read = self._websocket.scope.get("extensions", {}).get(UNTIL_READ, {}).get("wait")
@@ -213,7 +217,9 @@ class Client:
     async def _send_waiting(self, subscription: _Subscription) -> None:
         outlet = subscription.outlet
         for _ in range(outlet.waiting):
-            item = outlet.take()
+            await self._answers_sent.wait()  # control overtakes data
+            left = self._subscriptions.get(subscription.order.id) is not subscription
+            item = None if left else outlet.take()
             if item is None:
                 return
             if not item.head:

@@ -68,7 +68,7 @@ class Call(Struct, frozen=True, kw_only=True, tag_field="op", tag="call"):
 
 class _Ping(Struct, frozen=True, kw_only=True, tag_field="op", tag="ping"):
     id: Id
-    client_ns: int | float | str
+    client_ns: int | float | Annotated[str, Meta(max_length=32)]
 
 
 class End(Struct, frozen=True):
