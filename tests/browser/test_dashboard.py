@@ -40,6 +40,13 @@ SEEN: Final = """() => {
   };
 }"""
 
+WATCH_JOINTS: Final = """
+  window.jointsLived = false;
+  new MutationObserver(() => {
+    window.jointsLived ||= document.querySelector(".joints[data-state=live]") !== null;
+  }).observe(document, { subtree: true, childList: true, attributes: true });
+"""
+
 
 async def seen(page: Page) -> dict[str, Any]:
     """Return what the camera card shows at one instant: pixels and box."""
@@ -308,6 +315,12 @@ async def test_robot_that_leaves_is_offline_with_the_reason_and_comes_back(
     await expect(joint(page, "neck_yaw").locator("input")).to_be_disabled()
     await expect(page.locator(".veil")).to_contain_text("vizzy is offline")
     await screenshot(page, "robot-away")
+    await page.add_init_script(WATCH_JOINTS)
+    await page.reload()  # what the gateway remembers is not shown as if it were new
+    await expect(page.locator(".joints")).to_have_attribute("data-state", "stale")
+    await expect(page.locator(".joints .facts")).to_contain_text("Stale: nothing new for")
+    await expect(joint(page, "neck_yaw").locator(".measured")).to_have_text("at 0.0°")
+    assert await page.evaluate("window.jointsLived") is False
     async with lab.robot():
         await expect(page.locator(LIVE)).to_be_visible(timeout=BACK_WITHIN_MS)
         await expect(joint(page, "neck_yaw").locator("input")).to_be_enabled()

@@ -59,13 +59,17 @@ class Stream {
   #arrivedAt = -Infinity;
   #periodMs = 0;
   #gaps = 0;
+  #greeted = false;
 
   /** @param {any} resource @param {(sample: any) => void} onSample */
   constructor(resource, onSample) {
     this.resource = resource;
     const picture = resource.kind === "stream";
     this.subscription = client.subscribe(resource.key, picture ? { window: 1 } : {}, (sample) => {
-      this.#arrived(performance.now());
+      // The gateway greets with the newest it has, however old: that is no sign of life.
+      const relic = !this.#greeted && sample.age_ms > STALE_AFTER_MS;
+      this.#greeted = true;
+      if (!relic) this.#arrived(performance.now());
       this.#ageOnArrivalMs = sample.age_ms;
       this.schema = sample.schema || sample.encoding;
       onSample(sample);
@@ -91,11 +95,13 @@ class Stream {
 
   /** Say how fresh it is: `state`, a `text` for people, `rateHz` and `ageMs`. */
   describe() {
+    if (client.state !== "open") this.#greeted = false;
     const silentMs = performance.now() - this.#arrivedAt;
     const empty = this.subscription.received === 0;
     if (empty) return { state: "empty", text: "Nothing received yet", rateHz: 0, ageMs: NaN };
     if (silentMs > this.#patienceMs() || client.state !== "open") {
-      const text = `Stale: nothing new for ${(silentMs / 1000).toFixed(1)} s`;
+      const oldMs = silentMs < Infinity ? silentMs : this.subscription.ageMs;
+      const text = `Stale: nothing new for ${(oldMs / 1000).toFixed(1)} s`;
       return { state: "stale", text, rateHz: 0, ageMs: this.subscription.ageMs };
     }
     const rateHz = this.#periodMs ? 1000 / this.#periodMs : 0;

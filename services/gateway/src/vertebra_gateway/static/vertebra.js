@@ -814,8 +814,9 @@ export class Vertebra extends EventTarget {
 
   /**
    * Receive what is published on a key expression, now and after every reconnect.
-   * While `callback` is busy (or the promise that it returns is pending) the gateway keeps the
-   * newest samples back, as `options` say, instead of piling them up here.
+   * First comes the newest that the gateway has, however old. While `callback` is busy (or the
+   * promise that it returns is pending) the gateway keeps the newest samples back, as `options`
+   * say, instead of piling them up here.
    *
    * @param {string} key
    * @param {SubscribeOptions} options
@@ -958,8 +959,8 @@ export class Vertebra extends EventTarget {
   }
 
   async #retry() {
-    // Browsers delay WebSockets to a host that refused many of them by up to five seconds more,
-    // so ask with a plain request whether anybody is there before trying one.
+    // Chromium holds back WebSockets to a host that failed many of them, by up to five seconds
+    // (WebSocketPerProcessThrottler), so ask with a plain request whether anybody is there first.
     const url = new URL("healthz", this.url.replace(/^ws/, "http"));
     const timer = this.#retryTimer;
     try {
