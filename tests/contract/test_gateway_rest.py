@@ -95,7 +95,7 @@ async def running(*, jpeg_quality: int = 80) -> AsyncIterator[Rig]:
         )
         streams.keep("vizzy/head/state")
         followers = [tasks.create_task(robots.follow()), tasks.create_task(fleet.follow())]
-        transport = httpx.ASGITransport(make_app(gateway, Guard(TOKEN)))
+        transport = httpx.ASGITransport(make_app(gateway, Guard(TOKEN)), raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://gateway") as http:
             yield Rig(gateway, http, outside, codecs, robot)
         streams.close()
@@ -361,6 +361,13 @@ async def test_a_robot_whose_limits_cannot_be_had_is_not_online(rig: Rig) -> Non
     await rig.wait_online()
 
 
+async def test_a_bug_is_a_problem_too(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig.gateway.robots, "describe", lambda: 1 // 0)
+    response = await rig.get("/api/robots")
+    assert "ZeroDivisionError" in problem(response, 500)["detail"]
+    assert "content-security-policy" in response.headers
+
+
 async def test_health_needs_no_token_and_everything_else_does(rig: Rig) -> None:
     for path in ("/healthz", "/readyz"):
         assert (await rig.http.get(path)).status_code == 200
@@ -444,7 +451,7 @@ async def test_the_fleet_shows_services_streams_and_clients(rig: Rig) -> None:
     }
     document = (await rig.get("/api/fleet")).json()
     (stream,) = document["streams"]
-    assert (stream["key"], stream["lost"], stream["viewers"]) == ("vizzy/head/state", 0, 1)
+    assert (stream["key"], stream["lost"], stream["viewers"]) == ("vizzy/head/state", 0, 0)
     assert stream["encoding"] == "application/vnd.vertebra.frame;JointState/1"
     assert stream["rate_hz"] > 1
     assert 0 <= stream["age_s"] < 5

@@ -50,6 +50,7 @@ def make_app(gateway: Gateway, guard: Guard) -> ASGIApp:
 
     app.add_exception_handler(VertebraError, _tell)
     app.add_exception_handler(HTTPException, _tell_http)
+    app.add_exception_handler(Exception, _tell_bug)
     app.mount("/", _Dashboard(directory=STATIC, html=True, check_dir=False))
     return GuardMiddleware(app, guard)
 
@@ -87,6 +88,11 @@ async def _tell_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101  - registered for this type only
     detail = f"{request.method} {request.url.path}: {error.detail}"
     return _response(Problem(status=error.status_code, detail=detail))
+
+
+async def _tell_bug(_: Request, error: Exception) -> Response:
+    detail = f"{type(error).__name__}, a bug in the gateway; its log says more"
+    return _response(Problem(status=500, detail=detail))
 
 
 def _response(problem: Problem) -> Response:

@@ -20,7 +20,7 @@ Kind = Literal["read", "call", "stream"]
 Place = tuple[str | int, ...]
 """Keys and indices from the root of a YAML document to a value."""
 
-_STEP: Final = re.compile(r"\.(\w+)|\[(\d+)\]")
+_STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+)\]")
 _NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]*")
 _PATH: Final = re.compile(r"[a-z0-9][a-z0-9_-]*(/[a-z0-9][a-z0-9_-]*)*")
 
@@ -257,5 +257,5 @@ class _Document:
 def _place(path: str) -> Place:
     return tuple(
         step["name"] if step["name"] is not None else int(step["index"])
-        for step in re.finditer(r"\.(?P<name>\w+)|\[(?P<index>\d+)\]", path)
+        for step in _STEP.finditer(path)
     )

@@ -392,10 +392,17 @@ class _KeyNumbers:
 
 
 class Feed:
-    """Everything that comes on one key expression."""
+    """Everything that comes on one key expression.
+
+    Attributes:
+        forms: In which forms it is looked at.
+        kept: Whether it goes on when nobody looks.
+        newest: The newest sample of each key.
+    """
 
     def __init__(self, bus: Bus, tasks: asyncio.TaskGroup, key_expression: str) -> None:
         self.forms: dict[FormName, _Form] = {}
+        self.kept = False
         self.newest: OrderedDict[str, Item] = OrderedDict()
         self._subscription = bus.subscribe(key_expression, Delivery.latest(INTAKE_DEPTH))
         self._numbers: OrderedDict[str, _KeyNumbers] = OrderedDict()
@@ -488,14 +495,22 @@ class Streams:
         """
         if self._closed:
             raise NotConnectedError("the gateway stops")
-        feed = self._feeds.get(key_expression)
-        if feed is None:
-            feed = self._feeds[key_expression] = Feed(self._bus, self._tasks, key_expression)
+        feed = self._feed(key_expression)
         viewers = feed.forms.get(form)
         if viewers is None:
             viewers = feed.forms[form] = self._form(form)
         viewers.outlets.add(outlet)
         viewers.welcome(outlet, feed.newest.values())
+        return feed
+
+    def keep(self, key: str) -> None:
+        """Read a key also while nobody looks, so that its newest value is at hand."""
+        self._feed(key).kept = True
+
+    def _feed(self, key_expression: str) -> Feed:
+        feed = self._feeds.get(key_expression)
+        if feed is None:
+            feed = self._feeds[key_expression] = Feed(self._bus, self._tasks, key_expression)
         return feed
 
     def _form(self, form: FormName) -> _Form:
@@ -515,7 +530,7 @@ class Streams:
         if not viewers.outlets:
             viewers.close()
             del feed.forms[form]
-        if not feed.forms:
+        if not feed.forms and not feed.kept:
             del self._feeds[key_expression]
             feed.close()
 
@@ -551,10 +566,6 @@ class Streams:
                 raise NotConnectedError(
                     f"nothing came on {key!r} within {within_s:g} s; is its sender running?"
                 ) from error
-
-    def keep(self, key: str) -> None:
-        """Read a key also while nobody looks, so that its newest value is at hand."""
-        self.attach(key, "frame", Outlet(lambda: None))
 
     def describe(self) -> list[dict[str, Any]]:
         """Return the table of streams."""
