@@ -67,7 +67,10 @@ class Address:
 def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Describe the command."""
     parser = commands.add_parser(
-        "up", help="run the fleet here", description="Run the fleet as processes until Ctrl-C."
+        "up",
+        help="run the fleet here",
+        description="Run the fleet as processes until Ctrl-C. VERTEBRA_STATE names another folder than "
+        ".vertebra for logs and state, so that two fleets can run from one checkout.",
     )
     parser.add_argument(
         "--profile", action="append", default=[], help="profile of compose.yaml to switch on"
