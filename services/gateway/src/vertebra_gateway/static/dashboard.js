@@ -64,7 +64,7 @@ class Stream {
   /** @param {any} resource @param {(sample: any) => void} onSample */
   constructor(resource, onSample) {
     this.resource = resource;
-    const picture = resource.kind === "stream";
+    const picture = resource.content_type.startsWith("image/");
     this.subscription = client.subscribe(resource.key, picture ? { window: 1 } : {}, (sample) => {
       // The gateway greets with the newest it has, however old: that is no sign of life.
       const relic = !this.#greeted && sample.age_ms > STALE_AFTER_MS;
@@ -208,7 +208,7 @@ class Robot {
       if (!resource.input && resource.method === "POST") this.#addButton(resource);
       return;
     }
-    if (resource.kind === "stream" && resource.content_type.startsWith("image/")) {
+    if (resource.content_type.startsWith("image/")) {
       const card = new CameraCard(make("camera-template"), resource);
       this.#cards.set(resource.key, card);
       this.pictures.append(card.element);
