@@ -69,8 +69,8 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     parser = commands.add_parser(
         "up",
         help="run the fleet here",
-        description="Run the fleet as processes until Ctrl-C. VERTEBRA_STATE names another folder than "
-        ".vertebra for logs and state, so that two fleets can run from one checkout.",
+        description="Run the fleet as processes until Ctrl-C. VERTEBRA_STATE names another folder "
+        "than .vertebra for logs and state, so that two fleets can run from one checkout.",
     )
     parser.add_argument(
         "--profile", action="append", default=[], help="profile of compose.yaml to switch on"
@@ -91,11 +91,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     with only_one(up_lock(root)):
         _warn_of_unused_variables(text)
-        addresses = listening_addresses(programs)
-        check_addresses(addresses)
+        check_addresses(listening_addresses(programs))
         _prepare(root, programs, variables)
-        welcome = _welcome(root, addresses, variables)
-        return _run_until_stopped(root, programs, welcome, started_s)
+        return _run_until_stopped(root, programs, started_s)
 
 
 def up_lock(root: Path) -> Path:
@@ -135,21 +133,17 @@ def _warn_of_unused_variables(compose: str) -> None:
 def _prepare(root: Path, programs: Sequence[Program], variables: Mapping[str, str]) -> None:
     names = {program.name for program in programs}
     if "gateway" in names:
+        folder = variables.get("VERTEBRA_SECRETS", "deploy/secrets")
+        environment = os.environ | {"VERTEBRA_SECRETS": folder}
         command = [str(root / "deploy" / "make-secrets")]
-        secrets = {"VERTEBRA_SECRETS": variables.get("VERTEBRA_SECRETS", "deploy/secrets")}
-        subprocess.run(command, cwd=root, env=os.environ | secrets, check=True)  # noqa: S603
+        if subprocess.run(command, cwd=root, env=environment, check=False).returncode:  # noqa: S603
+            raise ConfigError(f"no token for the gateway can be made in {folder}; see above")
     if "face_tracking" in names:
-        folder = models_folder(root)
-        fetch = [
-            sys.executable,
-            "-m",
-            "vertebra_face_tracking.models",
-            "fetch",
-            "--into",
-            str(folder),
-        ]
-        said = subprocess.DEVNULL if any(folder.glob("*")) else None  # the first time takes long
-        if subprocess.run(fetch, stdout=said, check=False).returncode:  # noqa: S603
+        models = models_folder(root)
+        fetch = [sys.executable, "-m", "vertebra_face_tracking.models", "fetch"]
+        said = subprocess.DEVNULL if any(models.glob("*")) else None  # the first time takes long
+        done = subprocess.run([*fetch, "--into", models], stdout=said, check=False)  # noqa: S603
+        if done.returncode:
             _say("the face models are missing: the fleet starts without face tracking")
 
 
@@ -158,19 +152,31 @@ def models_folder(root: Path) -> Path:
     return Path(os.environ.get("VERTEBRA_MODELS") or state_folder(root, "models"))
 
 
-def _welcome(root: Path, addresses: Sequence[Address], variables: Mapping[str, str]) -> list[str]:
+def _welcome(root: Path, programs: Sequence[Program]) -> list[str]:
     lines = []
-    for address in addresses:
+    for address in listening_addresses(programs):
         if address.service == "gateway":
-            token = (root / variables["VERTEBRA_GATEWAY_TOKEN_FILE"]).read_text(encoding="utf-8")
             host = address.host.replace("0.0.0.0", "127.0.0.1")  # noqa: S104  - told, not bound
-            url = f"http://{host}:{address.tcp_port}/?token={token.strip()}"
+            url = f"http://{host}:{address.tcp_port}/{_token_query(root, programs)}"
             lines.append(f"dashboard         {url}")
         elif address.service == "yarp":
             lines.append(f"YARP name server  {address}")
         else:
             lines.append(f"Zenoh router      tcp/{address}")
     return [*lines, f"logs              {state_folder(root, 'log')}", "stop              Ctrl-C"]
+
+
+def _token_query(root: Path, programs: Sequence[Program]) -> str:
+    for program in programs:
+        if file := program.environment.get("VERTEBRA_GATEWAY_TOKEN_FILE"):
+            try:
+                return f"?token={(root / file).read_text(encoding='utf-8').strip()}"
+            except OSError as error:
+                raise ConfigError(
+                    f"the gateway's token cannot be read: {error}; make one with "
+                    "deploy/make-secrets, or correct VERTEBRA_GATEWAY_TOKEN_FILE"
+                ) from error
+    return ""
 
 
 class _Watch:
@@ -239,9 +245,9 @@ def _stop_signals() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _run_until_stopped(
-    root: Path, programs: Sequence[Program], welcome: Sequence[str], started_s: float
-) -> int:
+def _run_until_stopped(root: Path, programs: Sequence[Program], started_s: float) -> int:
+    names = [program.name for program in programs]
+    welcome = _welcome(root, programs)
     run_folder, log_folder = state_folder(root, "run"), state_folder(root, "log")
     inherited = {
         name: value for name, value in os.environ.items() if not name.startswith("VERTEBRA_")
@@ -250,7 +256,7 @@ def _run_until_stopped(
     inherited["VERTEBRA_MODELS"] = str(models_folder(root))
     with (
         _stop_signals() as asked,
-        closing(_Watch([each.name for each in programs], run_folder, log_folder, welcome)) as watch,
+        closing(_Watch(names, run_folder, log_folder, welcome)) as watch,
         Supervisor(
             programs, root=root, run=run_folder, log=log_folder, environment=inherited
         ) as supervisor,
