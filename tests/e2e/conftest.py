@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import socket
 import subprocess
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Final
 
 import pytest
 from testcontainers.compose import DockerCompose
+
+from vertebra.testing.ports import free_tcp_port
 
 from .fleet import ROOT, Fleet, run
 
@@ -80,16 +81,24 @@ def fleet(
     folder = tmp_path_factory.mktemp("fleet")
     token = secrets.token_urlsafe(24)
     (folder / "gateway_token").write_text(token, encoding="utf-8")
-    tcp_port = free_tcp_port()
+    tcp_port, router_tcp_port = free_tcp_port(), free_tcp_port()
+    project = f"vertebra-e2e-{os.getpid()}"
     variables = {
-        "COMPOSE_PROJECT_NAME": f"vertebra-e2e-{os.getpid()}",
+        "COMPOSE_PROJECT_NAME": project,
         "VERTEBRA_SECRETS": str(folder),
         "VERTEBRA_GATEWAY_TCP_PORT": str(tcp_port),
+        "VERTEBRA_BACKBONE_TCP_PORT": str(router_tcp_port),
     }
     settings = folder / "settings.env"
     settings.write_text("".join(f"{name}={value}\n" for name, value in variables.items()))
     compose = DockerCompose(ROOT, compose_file_name="compose.yaml", env_file=str(settings))
-    running = Fleet(url=f"http://127.0.0.1:{tcp_port}", token=token, compose=compose)
+    running = Fleet(
+        url=f"http://127.0.0.1:{tcp_port}",
+        token=token,
+        router=f"tcp/127.0.0.1:{router_tcp_port}",
+        project=project,
+        compose=compose,
+    )
     try:
         compose.start()
         yield running
@@ -109,11 +118,3 @@ def keep_logs(fleet: Fleet) -> None:
     ARTIFACTS.mkdir(parents=True, exist_ok=True)
     for service in fleet.services():
         (ARTIFACTS / f"{service}.log").write_text(fleet.logs(service), encoding="utf-8")
-
-
-def free_tcp_port() -> int:
-    """Return a tcp_port of the loopback that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        tcp_port: int = probe.getsockname()[1]
-    return tcp_port
