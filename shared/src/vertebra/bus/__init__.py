@@ -4,7 +4,6 @@ from vertebra.bus.interface import (
     Bus,
     BusInfo,
     Closeable,
-    Delivery,
     Gatherable,
     Handler,
     OnWanted,
@@ -16,7 +15,8 @@ from vertebra.bus.interface import (
     Request,
 )
 from vertebra.bus.memory_bus import MemoryBus, MemoryNetwork
-from vertebra.bus.subscription import Sample, Subscription
+from vertebra.bus.sample import Delivery, Sample
+from vertebra.bus.subscription import Subscription
 from vertebra.bus.zenoh_bus import DEFAULT_ROUTER, ZenohBus
 
 __all__ = [

@@ -7,13 +7,13 @@ and `MemoryBus` in one process. Payloads are opaque here; `encoding` says how to
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from dataclasses import dataclass
 from enum import Enum
-from typing import Final, Literal, Protocol, Self, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 from msgspec import Struct
 
-from vertebra.bus.subscription import Sample, Subscription
+from vertebra.bus.sample import Delivery, Sample
+from vertebra.bus.subscription import Subscription
 
 
 @runtime_checkable
@@ -42,32 +42,6 @@ class Priority(Enum):
     """Joint states, results."""
     BULK = "bulk"
     """Images, point clouds, audio."""
-
-
-@dataclass(frozen=True, slots=True)
-class Delivery:
-    """What a subscription keeps while its consumer is busy.
-
-    `latest` keeps the newest `depth` samples of each key and lets older ones go: streams.
-    `queue` keeps every sample in order and refuses new ones when `depth` are waiting: events.
-    """
-
-    policy: Literal["latest", "queue"]
-    depth: int
-
-    def __post_init__(self) -> None:
-        if self.depth < 1:
-            raise ValueError(f"a delivery has a depth of at least 1, not {self.depth}")
-
-    @classmethod
-    def latest(cls, depth: int = 1) -> Self:
-        """Keep the newest `depth` samples of each key."""
-        return cls("latest", depth)
-
-    @classmethod
-    def queue(cls, depth: int) -> Self:
-        """Keep up to `depth` samples, in order."""
-        return cls("queue", depth)
 
 
 PRESENCE_DELIVERY: Final = Delivery.latest(depth=8)

@@ -18,7 +18,6 @@ from vertebra.bus.interface import (
     PRESENCE_DELIVERY,
     BusInfo,
     Closeable,
-    Delivery,
     Handler,
     OnWanted,
     Payload,
@@ -27,7 +26,8 @@ from vertebra.bus.interface import (
     Reply,
     Request,
 )
-from vertebra.bus.subscription import Sample, Subscription
+from vertebra.bus.sample import Delivery, Sample
+from vertebra.bus.subscription import Subscription
 from vertebra.errors import DeadlineError, NotConnectedError
 from vertebra.keys import check_key, check_key_expression, intersects
 

@@ -7,37 +7,16 @@ import logging
 import threading
 import time
 from collections import OrderedDict, deque
-from typing import TYPE_CHECKING, Final, Generic, Self, TypeVar
+from collections.abc import Callable
+from typing import Final, Generic, Self, TypeVar
 
-from msgspec import Struct
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from vertebra.bus.interface import Delivery
+from vertebra.bus.sample import Delivery
 
 log = logging.getLogger(__name__)
 
 MAX_KEYS: Final = 16384
 """A `latest` subscription keeps samples of at most this many keys."""
 _LOG_EVERY_S: Final = 10.0
-
-
-class Sample(Struct, frozen=True, kw_only=True):
-    """One payload on a key.
-
-    Attributes:
-        key: Where it was put; never an expression.
-        payload: Opaque bytes.
-        encoding: How to read them, for example `application/vnd.vertebra.frame;Image/1`.
-        sent_ns: When it was put (UTC, ns), 0 if its publisher does not say.
-    """
-
-    key: str
-    payload: bytes
-    encoding: str
-    sent_ns: int = 0
-
 
 T = TypeVar("T")
 

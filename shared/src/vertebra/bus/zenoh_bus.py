@@ -22,7 +22,6 @@ from vertebra.bus.interface import (
     PRESENCE_DELIVERY,
     BusInfo,
     Closeable,
-    Delivery,
     Handler,
     OnWanted,
     Payload,
@@ -32,8 +31,9 @@ from vertebra.bus.interface import (
     Request,
 )
 from vertebra.bus.links import LINK_SETTINGS
+from vertebra.bus.sample import Delivery, Sample
 from vertebra.bus.shared_memory import SharedMemory
-from vertebra.bus.subscription import Sample, Subscription
+from vertebra.bus.subscription import Subscription
 from vertebra.errors import ConfigError, DeadlineError, NotConnectedError, RemoteError
 from vertebra.keys import check_key, check_key_expression
 
