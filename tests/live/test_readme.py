@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -53,6 +54,8 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Up, Path]]:
 
 
 def run(block: Block, up: Up, folder: Path) -> subprocess.CompletedProcess[str]:
+    if "curl " in block.text and shutil.which("curl") is None:
+        pytest.skip("there is no curl; apt-get install curl")
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", block.text],
         env=up.environment,
