@@ -53,8 +53,7 @@ async def backbone(router: str) -> AsyncIterator[ZenohBus]:
         bus = await ZenohBus.open(router, shared_memory=False, timeout_s=_OPEN_TIMEOUT_S)
     except DeadlineError as error:
         raise NotConnectedError(
-            f"{error}; start the fleet with ./vertebra up, or name its router with --router "
-            "(inside containers: docker compose exec gateway python -m vertebra.cli ...)"
+            f"{error}; start the fleet with ./vertebra up, or name its router with --router"
         ) from error
     try:
         yield bus
