@@ -86,6 +86,7 @@ def fleet(
     variables = {
         "COMPOSE_PROJECT_NAME": project,
         "VERTEBRA_SECRETS": str(folder),
+        "VERTEBRA_CAMERA_SOURCE": "key:vizzy/camera/left",
         "VERTEBRA_GATEWAY_TCP_PORT": str(tcp_port),
         "VERTEBRA_BACKBONE_TCP_PORT": str(router_tcp_port),
     }

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -85,6 +86,15 @@ class Fleet:
     def start(self, service: str) -> None:
         """Start a service that was killed, without waiting for its health."""
         run("docker", "start", self._container(service))
+
+    @contextlib.contextmanager
+    def with_profile(self, service: str) -> Iterator[None]:
+        """Have a service run that is off by default."""
+        self._compose("--profile", "*", "up", "--detach", "--wait", "--no-deps", service)
+        try:
+            yield
+        finally:
+            self._compose("--profile", "*", "rm", "--stop", "--force", service)
 
     def stop_all(self) -> None:
         """End all services in order, as `docker compose stop` does."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from typing import Final
 
 import pytest
 
-from .fleet import Fleet, run
+from .fleet import ROOT, Fleet, run
 
 SERVICES: Final = ("face_tracking", "gateway", "router", "simulator", "yarp")
+OVERLAYS: Final = tuple(
+    f"deploy/{file.name}" for file in sorted(ROOT.glob("deploy/compose.*.yaml"))
+)
 STOPPED_WITHIN_S: Final = 10.0
 STOPPED_IN_ORDER: Final = {0, 143}
 """Exit statuses after SIGTERM; 137 would be SIGKILL."""
@@ -74,6 +78,18 @@ def test_the_fleet_stops_in_order(fleet: Fleet) -> None:
         assert took_s < STOPPED_WITHIN_S
     finally:
         fleet.start_all()
+
+
+@pytest.mark.parametrize("overlays", [(), *((each,) for each in OVERLAYS), OVERLAYS], ids=str)
+def test_every_profile_and_overlay_is_valid(engine: None, overlays: tuple[str, ...]) -> None:
+    files = itertools.chain.from_iterable(("-f", name) for name in ("compose.yaml", *overlays))
+
+    services = run(
+        "env", "VERTEBRA_YARP_NAME_SERVER=192.0.2.1:10000", "VERTEBRA_YARP_BIND_HOST=192.0.2.2",
+        "docker", "compose", *files, "--profile", "*", "config", "--services",
+    )  # fmt: skip
+
+    assert {*SERVICES, "camera"} - set(services.split()) <= {"simulator"}
 
 
 def test_images_share_their_layers(images: None) -> None:

@@ -16,7 +16,7 @@ from PIL import Image as Picture
 
 from vertebra.bus import Delivery, ZenohBus
 from vertebra.codec import CodecRegistry
-from vertebra.messages import Image
+from vertebra.messages import Faces, Image
 from vertebra.service import MessageReader
 
 from .fleet import Fleet
@@ -147,6 +147,17 @@ async def test_a_program_on_this_machine_sees_the_camera(bus: ZenohBus) -> None:
         received = await anext(aiter(reader))
 
     assert np.asarray(received.message.pixels).shape == (*reversed(SIZE), 3)
+
+
+async def test_a_camera_is_added_by_its_profile(fleet: Fleet) -> None:
+    with fleet.with_profile("camera"):
+        async with watching(fleet, "lab/camera/front", "lab/camera/front/faces") as watcher:
+            image = await watcher.newer("lab/camera/front", time.time_ns(), timeout_s=15.0)
+            faces = await watcher.newer("lab/camera/front/faces", 0, timeout_s=15.0)
+
+    assert isinstance(image.message, Image)
+    assert (image.message.width, image.message.height) == SIZE
+    assert isinstance(faces.message, Faces)
 
 
 async def services_info(bus: ZenohBus) -> dict[str, Any]:
