@@ -215,12 +215,13 @@ class ZenohBus:
             on_close=lambda: declared.undeclare() if self.forget(subscription) else None,
         )
         offer = subscription.offer
+        only_key = None if "*" in key_expression else key_expression
 
         def arrived(sample: zenoh.Sample) -> None:
             publisher, sequence, sent_ns = _read_attachment(sample.attachment)
             offer(
                 Sample(
-                    key=str(sample.key_expr),
+                    key=only_key or str(sample.key_expr),
                     payload=sample.payload.to_bytes(),
                     encoding=_read_encoding(sample.encoding),
                     sent_ns=sent_ns,

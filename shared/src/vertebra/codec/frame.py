@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -81,8 +80,7 @@ class _Unpacker:
         raise ValueError(f"unknown extension type {code}")
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(msgspec.Struct, frozen=True):
     """An encoded message whose buffers are not gathered yet: `bytes(frame)` copies each once.
 
     Attributes:
@@ -237,7 +235,7 @@ class FrameCodec:
                     f"buffer {index} claims {nbytes} bytes at offset {start}, "
                     f"the frame ends at {total}"
                 )
-            if any(view[position:start]):
+            if view[position:start] != _PADDING[: start - position]:
                 raise DecodeError(f"the padding before buffer {index} is not zero")
             position = start + nbytes
             buffers.append(view[start:position])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from functools import lru_cache
 from typing import Any, Final, Self
 
 from typing_extensions import Buffer
@@ -27,6 +28,7 @@ _CAST_FORMATS: Final = {
 }  # fmt: skip
 
 
+@lru_cache(maxsize=256)
 def item_bytes(dtype: str) -> int:
     """Return the bytes of one item of a NumPy type string such as `<f8` or `|u1`.
 
