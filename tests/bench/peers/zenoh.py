@@ -1,7 +1,7 @@
-"""Zenoh by hand, in the mode of our bus: same router, same shared memory, one copy on each side.
+"""Zenoh by hand, in the mode of our bus: same router, links and shared memory, the same copies.
 
-The fastest that a Python program can do: the image lies in a bytearray, which goes into shared
-memory with one copy (the binding takes nothing else), and the callback works in Zenoh's thread.
+An array becomes bytes (the binding takes nothing else), these go into shared memory, and the callback
+makes an array of what it gets, in Zenoh's thread.
 """
 
 from __future__ import annotations
@@ -13,23 +13,25 @@ from typing import Any
 
 import zenoh
 import zenoh.shm
+from numpy.typing import NDArray
+
+from vertebra.bus.links import LINK_SETTINGS
+from vertebra.bus.shared_memory import THRESHOLD_BYTES
 
 from .peer import Arrivals, Order, Stream, follow_orders, main, send_paced
 
 KEY = "bench/zenoh"
 POOL_BYTES = 32 << 20
-SHARED_FROM_BYTES = 16 << 10
 WAIT_S = 30.0
 
 
 def open_session(stream: Stream) -> zenoh.Session:
     config = zenoh.Config()
     for path, value in {
+        **LINK_SETTINGS,
         "mode": "client",
         "connect/endpoints": [stream.endpoint],
-        "scouting/multicast/enabled": False,
         "transport/shared_memory/enabled": True,
-        "transport/shared_memory/transport_optimization/enabled": False,
     }.items():
         config.insert_json5(path, json.dumps(value))
     return zenoh.open(config)
@@ -37,25 +39,27 @@ def open_session(stream: Stream) -> zenoh.Session:
 
 def send(stream: Stream) -> None:
     with open_session(stream) as session:
-        memory = stream.memory()
-        publisher = session.declare_publisher(KEY, express=len(memory) < SHARED_FROM_BYTES)
+        values = stream.array(stream.memory())
+        shared = values.nbytes >= THRESHOLD_BYTES
+        publisher = session.declare_publisher(KEY, express=not shared)
+        pool = zenoh.shm.ShmProvider.default_backend(POOL_BYTES) if shared else None
 
-        def put(_: Any) -> None:
-            publisher.put(bytes(memory))
+        def put(array: NDArray[Any]) -> None:
+            payload = array.tobytes()
+            publisher.put(payload if pool is None else hold(pool, payload))
 
-        if len(memory) >= SHARED_FROM_BYTES:
-            pool = zenoh.shm.ShmProvider.default_backend(POOL_BYTES)
+        follow_orders(lambda order: send_paced(order, values, put))
 
-            def put(_: Any) -> None:
-                try:
-                    segment = pool.alloc(len(memory))
-                except zenoh.ZError:
-                    pool.garbage_collect()
-                    segment = pool.alloc(len(memory))
-                segment[0 : len(memory)] = memory
-                publisher.put(segment)
 
-        follow_orders(lambda order: send_paced(order, stream.array(memory), put))
+def hold(pool: zenoh.shm.ShmProvider, payload: bytes) -> zenoh.shm.ZShmMut:
+    """Return shared memory with the payload in it."""
+    try:
+        segment = pool.alloc(len(payload))
+    except zenoh.ZError:
+        pool.garbage_collect()
+        segment = pool.alloc(len(payload))
+    segment[0 : len(payload)] = payload
+    return segment
 
 
 def receive(stream: Stream) -> None:
