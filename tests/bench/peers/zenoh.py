@@ -1,7 +1,7 @@
 """Zenoh by hand, in the mode of our bus: same router, links and shared memory, the same copies.
 
-An array becomes bytes (the binding takes nothing else), these go into shared memory, and the callback
-makes an array of what it gets, in Zenoh's thread.
+An array becomes bytes (the binding takes nothing else), these go into shared memory, and the
+callback makes an array of what it gets, in Zenoh's thread.
 """
 
 from __future__ import annotations
