@@ -31,7 +31,8 @@ async def test_small_messages(plan: Plan, report: Report) -> None:
         endpoints = {"pyzmq": f"tcp://127.0.0.1:{free_tcp_port()}"}
         pairs = {}
         for name in SYSTEMS:
-            stream = Stream(endpoint=endpoints.get(name, locator), dtype="|u1", shape=(64,))
+            endpoint = endpoints.get(name, locator)
+            stream = Stream(endpoint=endpoint, dtype="|u1", shape=(64,), key=f"bench/{name}")
             pairs[name] = await stack.enter_async_context(Pair.of(name, stream))
         for _ in range(plan.rounds):
             for name, pair in pairs.items():
@@ -55,9 +56,9 @@ async def test_calls(plan: Plan, report: Report) -> None:
     round_trips_ns: dict[str, list[int]] = {name: [] for name in CALLERS}
     async with AsyncExitStack() as stack:
         locator = await stack.enter_async_context(router())
-        stream = Stream(endpoint=locator, dtype="|u1", shape=(64,))
         callers = {}
         for name in CALLERS:
+            stream = Stream(endpoint=locator, dtype="|u1", shape=(64,), key=f"bench/{name}")
             await stack.enter_async_context(started(name, "serve", stream))
             callers[name] = await stack.enter_async_context(started(name, "call", stream))
         for _ in range(plan.rounds):

@@ -18,7 +18,8 @@ pytestmark = [pytest.mark.bench, pytest.mark.timeout(240)]
 
 SYSTEMS: Final = {
     "vertebra": "Vertebra (typed, bus)",
-    "zenoh": "Zenoh by hand, same router and shared memory",
+    "zenoh": "Zenoh by hand, in the callback",
+    "zenoh-asyncio": "Zenoh by hand, in an event loop",
     "pyzmq": "ZeroMQ by hand, no router",
     "wrapyfi": "Wrapyfi 0.5 over ZeroMQ",
 }
@@ -33,8 +34,12 @@ async def test_one_way_latency(plan: Plan, report: Report) -> None:
         endpoints = {"pyzmq": f"tcp://127.0.0.1:{free_tcp_port()}"}
         pairs = {}
         for name in SYSTEMS:
-            stream = Stream(endpoint=endpoints.get(name, locator), dtype="|u1", shape=SHAPE)
-            pairs[name] = await stack.enter_async_context(Pair.of(name, stream))
+            module, _, option = name.partition("-")
+            endpoint = endpoints.get(name, locator)
+            stream = Stream(
+                endpoint=endpoint, dtype="|u1", shape=SHAPE, key=f"bench/{name}", option=option
+            )
+            pairs[name] = await stack.enter_async_context(Pair.of(module, stream))
         for _ in range(plan.rounds):
             for name, pair in pairs.items():
                 outcomes[name].append(await pair.exchange(plan.images, rate_hz=RATE_HZ))

@@ -33,12 +33,14 @@ class Stream(msgspec.Struct, frozen=True, kw_only=True):
         endpoint: Where they meet, in the words of their system.
         dtype: Item type: `|u1` for images and bytes, `<f8` for arrays.
         shape: (height, width, 3) is an image, one axis is plain bytes, all else is an array.
+        key: What it is called on Zenoh; no other pair of peers may use it.
         option: What else a system needs to know.
     """
 
     endpoint: str
     dtype: str
     shape: tuple[int, ...]
+    key: str = "bench"
     option: str = ""
 
     def memory(self) -> bytearray:

@@ -23,7 +23,6 @@ from .peer import (
     send_paced,
 )
 
-KEY = "bench/vertebra"
 DEPTH = 1000  # as many as ZeroMQ keeps
 WAIT_S = 30.0
 
@@ -34,11 +33,11 @@ def send(stream: Stream) -> None:
         values = stream.array(stream.memory())
         put: Callable[[Any], None]
         if len(stream.shape) == 1:
-            plain = bus.publisher(KEY, encoding="")
+            plain = bus.publisher(stream.key, encoding="")
             put = lambda array: plain.put(array.tobytes())  # noqa: E731
         else:
             publisher = MessagePublisher(
-                bus, CodecRegistry.installed(), KEY, priority=Priority.BULK
+                bus, CodecRegistry.installed(), stream.key, priority=Priority.BULK
             )
             message = as_image if len(stream.shape) == 3 else as_tensor
             put = lambda array: publisher.publish(message(array))  # noqa: E731
@@ -61,7 +60,7 @@ def receive(stream: Stream) -> None:
 async def _receive(stream: Stream) -> None:
     loop = asyncio.get_running_loop()
     bus = await ZenohBus.open(stream.endpoint, timeout_s=WAIT_S)
-    subscription = bus.subscribe(KEY, Delivery.queue(DEPTH))
+    subscription = bus.subscribe(stream.key, Delivery.queue(DEPTH))
     arrivals = Arrivals(lambda: loop.call_soon_threadsafe(subscription.close))
     arrivals.listen()
     codecs = CodecRegistry.installed()
@@ -89,7 +88,7 @@ async def _serve(stream: Stream) -> None:
     async def echo(request: Request) -> Reply:
         return Reply(payload=request.payload, encoding="")
 
-    bus.serve(KEY, echo)
+    bus.serve(stream.key, echo)
     Arrivals(lambda: loop.call_soon_threadsafe(ended.set)).listen()
     await ended.wait()
     await bus.close()
@@ -104,7 +103,7 @@ def call(stream: Stream) -> None:
             round_trips_ns = []
             for _ in range(order.count):
                 began_ns = time.monotonic_ns()
-                await bus.call(KEY, payload, timeout_s=WAIT_S)
+                await bus.call(stream.key, payload, timeout_s=WAIT_S)
                 round_trips_ns.append(time.monotonic_ns() - began_ns)
             return round_trips_ns
 

@@ -1,11 +1,12 @@
 """Zenoh by hand, in the mode of our bus: same router, links and shared memory, the same copies.
 
-An array becomes bytes (the binding takes nothing else), these go into shared memory, and the
-callback makes an array of what it gets, in Zenoh's thread.
+An array becomes bytes (the binding takes nothing else), and these go into shared memory. What
+arrives is used in the callback, in Zenoh's thread, or, with option `asyncio`, in an event loop.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 import time
@@ -20,7 +21,6 @@ from vertebra.bus.shared_memory import THRESHOLD_BYTES
 
 from .peer import Arrivals, Order, Stream, follow_orders, main, send_paced
 
-KEY = "bench/zenoh"
 POOL_BYTES = 32 << 20
 WAIT_S = 30.0
 
@@ -41,7 +41,7 @@ def send(stream: Stream) -> None:
     with open_session(stream) as session:
         values = stream.array(stream.memory())
         shared = values.nbytes >= THRESHOLD_BYTES
-        publisher = session.declare_publisher(KEY, express=not shared)
+        publisher = session.declare_publisher(stream.key, express=not shared)
         pool = zenoh.shm.ShmProvider.default_backend(POOL_BYTES) if shared else None
 
         def put(array: NDArray[Any]) -> None:
@@ -63,6 +63,9 @@ def hold(pool: zenoh.shm.ShmProvider, payload: bytes) -> zenoh.shm.ZShmMut:
 
 
 def receive(stream: Stream) -> None:
+    if stream.option == "asyncio":
+        asyncio.run(_receive_in_event_loop(stream))
+        return
     with open_session(stream) as session:
         ended = threading.Event()
         arrivals = Arrivals(ended.set)
@@ -70,9 +73,27 @@ def receive(stream: Stream) -> None:
         def arrived(sample: zenoh.Sample) -> None:
             arrivals.add(stream.array(sample.payload.to_bytes()))
 
-        session.declare_subscriber(KEY, arrived)
+        session.declare_subscriber(stream.key, arrived)
         arrivals.listen()
         ended.wait()
+
+
+async def _receive_in_event_loop(stream: Stream) -> None:
+    loop = asyncio.get_running_loop()
+    coming: asyncio.Queue[bytes | None] = asyncio.Queue()
+
+    def hand_over(payload: bytes | None) -> None:
+        loop.call_soon_threadsafe(coming.put_nowait, payload)
+
+    def arrived(sample: zenoh.Sample) -> None:
+        hand_over(sample.payload.to_bytes())
+
+    with open_session(stream) as session:
+        arrivals = Arrivals(lambda: hand_over(None))
+        session.declare_subscriber(stream.key, arrived)
+        arrivals.listen()
+        while (payload := await coming.get()) is not None:
+            arrivals.add(stream.array(payload))
 
 
 def serve(stream: Stream) -> None:
@@ -81,9 +102,9 @@ def serve(stream: Stream) -> None:
 
         def arrived(query: zenoh.Query) -> None:
             with query:
-                query.reply(KEY, b"" if query.payload is None else query.payload.to_bytes())
+                query.reply(stream.key, b"" if query.payload is None else query.payload.to_bytes())
 
-        session.declare_queryable(KEY, arrived, complete=True)
+        session.declare_queryable(stream.key, arrived, complete=True)
         Arrivals(ended.set).listen()
         ended.wait()
 
@@ -96,7 +117,7 @@ def call(stream: Stream) -> None:
             round_trips_ns = []
             for _ in range(order.count):
                 began_ns = time.monotonic_ns()
-                for reply in session.get(KEY, payload=payload, timeout=WAIT_S, express=True):
+                for reply in session.get(stream.key, payload=payload, timeout=WAIT_S, express=True):
                     assert reply.ok is not None
                     reply.ok.payload.to_bytes()
                 round_trips_ns.append(time.monotonic_ns() - began_ns)
