@@ -26,8 +26,8 @@ class Plan:
     calls: int
 
 
-FULL: Final = Plan(rounds=5, images=100, steady_s=60, messages=20_000, calls=500)
-QUICK: Final = Plan(rounds=2, images=40, steady_s=3, messages=5_000, calls=100)
+FULL: Final = Plan(rounds=5, images=60, steady_s=60, messages=10_000, calls=300)
+QUICK: Final = Plan(rounds=2, images=30, steady_s=3, messages=5_000, calls=100)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +18,12 @@ import msgspec
 
 from vertebra.testing.ports import free_tcp_port
 
-from .peers.peer import Order, Stream, Taken
+from .peers.peer import Order, Sent, Stream, Taken
 
 ROOT: Final = Path(__file__).parents[2]
 START_S: Final = 60.0
 STOP_S: Final = 5.0
-QUIET_S: Final = 2.0
-"""What has not arrived this long after the last arrival is lost."""
+QUIET_S: Final = 1.0
 _LINE_BYTES: Final = 64 << 20
 T = TypeVar("T")
 
@@ -100,11 +100,11 @@ async def started(
 
 
 @asynccontextmanager
-async def router() -> AsyncIterator[str]:
-    """Run the fleet's Zenoh router and give its locator."""
+async def router() -> AsyncIterator[tuple[str, Peer]]:
+    """Run the fleet's Zenoh router; give its locator and its process."""
     locator = f"tcp/127.0.0.1:{free_tcp_port()}"
-    async with started("router", "route", Stream(endpoint=locator, dtype="|u1", shape=())):
-        yield locator
+    async with started("router", "route", Stream(endpoint=locator, dtype="|u1", shape=())) as peer:
+        yield locator, peer
 
 
 @dataclass(slots=True)
@@ -117,7 +117,7 @@ class Exchange:
         sent: How many were.
         sent_hz: The rate that the sender reached.
         received_hz: The rate at which messages arrived, from the first to the last.
-        resident_bytes: Memory of both sides, at regular intervals.
+        resident_bytes: Memory of all processes of the system, at regular intervals.
     """
 
     latency_ns: list[int]
@@ -135,15 +135,21 @@ class Exchange:
 class Pair:
     """A sender and a receiver of one system; `async with Pair.of(...) as pair`."""
 
-    def __init__(self, sender: Peer, receiver: Peer) -> None:
+    def __init__(self, sender: Peer, receiver: Peer, helpers: Sequence[Peer]) -> None:
         self._sender = sender
         self._receiver = receiver
+        self._all = (sender, receiver, *helpers)
         self._run = 0
 
     @classmethod
     @asynccontextmanager
-    async def of(cls, system: str, stream: Stream) -> AsyncIterator[Pair]:
-        """Start both sides and wait until messages arrive."""
+    async def of(
+        cls, system: str, stream: Stream, helpers: Sequence[Peer] = ()
+    ) -> AsyncIterator[Pair]:
+        """Start both sides and wait until messages arrive.
+
+        The memory of `helpers`, for example a router, counts as memory of the system.
+        """
         environment = {
             f"WRAPYFI_ZEROMQ_SOCKET_{side}_PORT": str(free_tcp_port()) for side in ("PUB", "SUB")
         }
@@ -151,7 +157,7 @@ class Pair:
             started(system, "send", stream, environment) as sender,
             started(system, "receive", stream, environment) as receiver,
         ):
-            pair = cls(sender, receiver)
+            pair = cls(sender, receiver, helpers)
             await pair._meet()
             yield pair
 
@@ -163,16 +169,26 @@ class Pair:
                 raise RuntimeError("the two peers do not find each other; their words are above")
 
     async def exchange(
-        self, count: int, *, rate_hz: float = 0.0, quiet_s: float = QUIET_S, watch_s: float = 0.0
+        self,
+        count: int,
+        *,
+        rate_hz: float = 0.0,
+        limit_s: float = math.inf,
+        quiet_s: float = QUIET_S,
+        watch_s: float = 0.0,
     ) -> Exchange:
-        """Send `count` messages and wait for them; look at the memory every `watch_s`, if given."""
+        """Send messages (see `Order`) and wait for them.
+
+        What has not arrived `quiet_s` after the last arrival is lost. Memory is looked at every
+        `watch_s` if that is given.
+        """
         self._run += 1
         await self._receiver.ask(self._run, str)
-        order = Order(run=self._run, count=count, rate_hz=rate_hz)
+        order = Order(run=self._run, count=count, rate_hz=rate_hz, limit_s=limit_s)
         memory: list[int] = []
         watch = asyncio.create_task(self._watch(memory, watch_s)) if watch_s else None
-        sent_hz = await self._sender.ask(order, float, timeout_s=10 * START_S)
-        await self._settle(count, quiet_s)
+        sent = await self._sender.ask(order, Sent, timeout_s=10 * START_S)
+        await self._settle(sent.count, quiet_s)
         if watch is not None:
             watch.cancel()
         taken = await self._receiver.ask("take", Taken)
@@ -181,8 +197,8 @@ class Pair:
         return Exchange(
             latency_ns=taken.latency_ns,
             sent_ns=taken.sent_ns,
-            sent=count,
-            sent_hz=sent_hz,
+            sent=sent.count,
+            sent_hz=sent.count / sent.seconds,
             received_hz=(len(received_ns) - 1) / seconds if seconds else 0.0,
             resident_bytes=memory,
         )
@@ -199,5 +215,5 @@ class Pair:
 
     async def _watch(self, memory: list[int], interval_s: float) -> None:
         while True:
-            memory.append(self._sender.resident_bytes() + self._receiver.resident_bytes())
+            memory.append(sum(peer.resident_bytes() for peer in self._all))
             await asyncio.sleep(interval_s)

@@ -27,7 +27,7 @@ CALLERS: Final = ("vertebra", "zenoh")
 async def test_small_messages(plan: Plan, report: Report) -> None:
     outcomes: dict[str, list[Exchange]] = {name: [] for name in SYSTEMS}
     async with AsyncExitStack() as stack:
-        locator = await stack.enter_async_context(router())
+        locator, _ = await stack.enter_async_context(router())
         endpoints = {"pyzmq": f"tcp://127.0.0.1:{free_tcp_port()}"}
         pairs = {}
         for name in SYSTEMS:
@@ -55,7 +55,7 @@ async def test_small_messages(plan: Plan, report: Report) -> None:
 async def test_calls(plan: Plan, report: Report) -> None:
     round_trips_ns: dict[str, list[int]] = {name: [] for name in CALLERS}
     async with AsyncExitStack() as stack:
-        locator = await stack.enter_async_context(router())
+        locator, _ = await stack.enter_async_context(router())
         callers = {}
         for name in CALLERS:
             stream = Stream(endpoint=locator, dtype="|u1", shape=(64,), key=f"bench/{name}")

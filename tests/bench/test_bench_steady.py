@@ -22,13 +22,16 @@ GROWN_BYTES: Final = 16 << 20
 
 async def test_steady_arrays(plan: Plan, report: Report) -> None:
     outcomes: dict[int, dict[str, Exchange]] = {rate_hz: {} for rate_hz in RATES_HZ}
-    async with router() as locator:
+    async with router() as (locator, route):
         stream = Stream(endpoint=locator, dtype="<f8", shape=(200, 200))
         for name in SYSTEMS:
-            async with Pair.of(name, stream) as pair:
+            async with Pair.of(name, stream, [route] if name == "vertebra" else []) as pair:
                 for rate_hz in RATES_HZ:
                     outcomes[rate_hz][name] = await pair.exchange(
-                        round(plan.steady_s * rate_hz), rate_hz=rate_hz, watch_s=WATCH_S
+                        round(plan.steady_s * rate_hz),
+                        rate_hz=rate_hz,
+                        limit_s=plan.steady_s,
+                        watch_s=WATCH_S,
                     )
     report.raw["steady"] = {str(rate_hz): found for rate_hz, found in outcomes.items()}
     for rate_hz, found in outcomes.items():

@@ -53,12 +53,23 @@ class Stream(msgspec.Struct, frozen=True, kw_only=True):
         return np.frombuffer(payload, self.dtype).reshape(self.shape)
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """Send `count` messages as run `run`, at `rate_hz` or, if that is 0, as fast as possible."""
+class Order(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Send `count` messages as run `run`, at `rate_hz` or, if that is 0, as fast as possible.
+
+    A system that is late does not skip: its next message leaves at once. After `limit_s` it stops.
+    """
 
     run: int
     count: int
     rate_hz: float = 0.0
+    limit_s: float = math.inf
+
+
+class Sent(msgspec.Struct, frozen=True, kw_only=True):
+    """How many messages were sent, and in which time."""
+
+    count: int
+    seconds: float
 
 
 class Taken(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,19 +105,28 @@ def follow_orders(perform: Callable[[Order], object]) -> None:
         answer(perform(order))
 
 
-def send_paced(order: Order, values: Any, send: Callable[[Any], object]) -> float:
-    """Send `order.count` stamped copies of `values`; return the rate that was reached in Hz.
-
-    A system that is late does not skip: its next message leaves at once.
-    """
-    began_ns = time.monotonic_ns()
+def due_times(order: Order) -> Iterator[tuple[int, float]]:
+    """Yield the number of each message and how long to wait before it is sent."""
+    began_s = time.monotonic()
     for number in range(order.count):
-        if order.rate_hz:
-            due_ns = began_ns + round(number * 1e9 / order.rate_hz)
-            time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+        elapsed_s = time.monotonic() - began_s
+        if elapsed_s > order.limit_s:
+            return
+        due_s = number / order.rate_hz if order.rate_hz else 0.0
+        yield number, max(0.0, due_s - elapsed_s)
+
+
+def send_paced(order: Order, values: Any, send: Callable[[Any], object]) -> Sent:
+    """Follow `order` with stamped copies of `values`."""
+    began_s = time.monotonic()
+    count = 0
+    for number, wait_s in due_times(order):
+        if wait_s:
+            time.sleep(wait_s)
         STAMP.pack_into(values, 0, time.monotonic_ns(), order.run, number)
         send(values)
-    return order.count / ((time.monotonic_ns() - began_ns) / 1e9)
+        count += 1
+    return Sent(count=count, seconds=time.monotonic() - began_s)
 
 
 class Arrivals:

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Sequence
 
 from vertebra.errors import BusyError
 from vertebra.yarp import Incoming, NameClient, NameServer, Port, Reader, Reply, RpcClient, encode
 from vertebra.yarp.objects import Image
 
-from .peer import STAMP, Arrivals, Order, Stream, answer, follow_orders, main, orders
+from .peer import (
+    STAMP,
+    Arrivals,
+    Order,
+    Sent,
+    Stream,
+    answer,
+    due_times,
+    follow_orders,
+    main,
+    orders,
+)
 
 OUTPUT = "/bench/out"
 RPC = "/bench/rpc"
@@ -49,12 +61,12 @@ async def _send(stream: Stream) -> None:
             answer(await _send_paced(port, stream, memory, order))
 
 
-async def _send_paced(port: Port, stream: Stream, memory: bytearray, order: Order) -> float:
-    began_ns = time.monotonic_ns()
-    for number in range(order.count):
-        if order.rate_hz:
-            due_ns = began_ns + round(number * 1e9 / order.rate_hz)
-            await asyncio.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
+async def _send_paced(port: Port, stream: Stream, memory: bytearray, order: Order) -> Sent:
+    began_s = time.monotonic()
+    count = 0
+    for number, wait_s in due_times(order):
+        if wait_s:
+            await asyncio.sleep(wait_s)
         STAMP.pack_into(memory, 0, time.monotonic_ns(), order.run, number)
         payload = bytes(memory)  # what a port is given must not change: it may be sent later
         if len(stream.shape) == 3:
@@ -62,14 +74,18 @@ async def _send_paced(port: Port, stream: Stream, memory: bytearray, order: Orde
             parts = Image.from_packed("rgb", width, height, payload).encode_parts()
         else:
             parts = [encode([payload])]
-        while True:
-            try:
-                port.write(parts)
-            except BusyError:
-                await asyncio.sleep(0)
-            else:
-                break
-    return order.count / ((time.monotonic_ns() - began_ns) / 1e9)
+        while not _is_taken(port, parts):
+            await asyncio.sleep(0)
+        count += 1
+    return Sent(count=count, seconds=time.monotonic() - began_s)
+
+
+def _is_taken(port: Port, parts: Sequence[bytes | bytearray | memoryview]) -> bool:
+    try:
+        port.write(parts)
+    except BusyError:
+        return False
+    return True
 
 
 def receive(stream: Stream) -> None:
