@@ -24,6 +24,7 @@ from vertebra.yarp.incoming import Incoming, Reply
 from vertebra.yarp.link import Connection
 from vertebra.yarp.names import Contact
 from vertebra.yarp.nameserver import NameTable, _OwnTable
+from vertebra.yarp.receiver import Event, Greeting, Message, Receiver
 from vertebra.yarp.switchboard import Switchboard
 from vertebra.yarp.text import from_text
 from vertebra.yarp.wire import (
@@ -33,10 +34,6 @@ from vertebra.yarp.wire import (
     TCP,
     TEXT,
     Carrier,
-    Event,
-    Greeting,
-    Message,
-    Receiver,
     UnknownCarrierError,
     greeting,
     quit_message,

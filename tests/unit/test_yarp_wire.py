@@ -16,6 +16,7 @@ from vertebra.yarp.bottle import Value, Vocab, encode
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.names import check_name, find_name_server
 from vertebra.yarp.nameserver import NameTable
+from vertebra.yarp.receiver import CallReply, Event, Greeting, Message, Number, Receiver
 from vertebra.yarp.wire import (
     ACK,
     FAST_TCP,
@@ -23,14 +24,8 @@ from vertebra.yarp.wire import (
     TCP,
     TEXT,
     TEXT_ACK,
-    CallReply,
     Carrier,
-    Event,
-    Greeting,
-    Message,
-    Number,
     PeerLimits,
-    Receiver,
     UnknownCarrierError,
     binary_message,
     choose_carrier,

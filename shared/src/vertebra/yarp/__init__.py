@@ -3,8 +3,9 @@
 It speaks to YARP 3 and 4 over the carriers tcp, fast_tcp, text, text_ack and name_ser, and needs
 no YARP installation. Images, vectors and stamps are in `objects`.
 
-`wire` knows the bytes of a connection and has no I/O; `link` is one connection, `switchboard` all
-those of a port, `port` its life; `client` reads and calls ports without being one.
+`wire` knows the bytes that we send and `receiver` those that come, both without I/O; `link` is one
+connection, `inputs` and `outputs` are its two sides, `switchboard` all those of a port, `port` its
+life; `client` reads and calls ports without being one.
 """
 
 from __future__ import annotations

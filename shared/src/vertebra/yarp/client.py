@@ -13,15 +13,12 @@ from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import OnData, ReadingLink, acknowledgement
 from vertebra.yarp.link import Connection, Link, dial, find
 from vertebra.yarp.names import NameClient, check_name
+from vertebra.yarp.receiver import CallReply, Event, Message, Number
 from vertebra.yarp.wire import (
     DEFAULT_LIMITS,
     FAST_TCP,
     TCP,
-    CallReply,
     Carrier,
-    Event,
-    Message,
-    Number,
     PeerLimits,
     binary_message,
     command,

@@ -10,8 +10,9 @@ from vertebra.errors import CodecError
 from vertebra.yarp.bottle import Value, decode, encode
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.link import Connection, Link, is_power_of_two
+from vertebra.yarp.receiver import Message
 from vertebra.yarp.text import from_text, to_text
-from vertebra.yarp.wire import ACK, TEXT_ACK_LINE, Carrier, Message, text_line
+from vertebra.yarp.wire import ACK, TEXT_ACK_LINE, Carrier, text_line
 
 log = logging.getLogger(__name__)
 

@@ -4,47 +4,33 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from functools import partial
+from collections.abc import Coroutine, Sequence
 from typing import Any
 
-from vertebra.errors import BusyError, CodecError, DecodeError, EncodeError, VertebraError
-from vertebra.yarp.admin import administer, fail, obey
+from vertebra.errors import BusyError
 from vertebra.yarp.bottle import Value
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import (
-    Incoming,
     OnCall,
     OnData,
-    ReadingLink,
-    Reply,
-    acknowledgement,
-    reply_bytes,
 )
+from vertebra.yarp.inputs import Input
 from vertebra.yarp.link import (
     CLOSE_GRACE_S,
     Connection,
     Counters,
     Delivery,
-    Outgoing,
-    Output,
     dial,
     find,
     is_power_of_two,
 )
 from vertebra.yarp.names import Contact, NameClient
+from vertebra.yarp.outputs import Outgoing, Output
 from vertebra.yarp.wire import (
-    NAME_SER,
     Buffer,
     Carrier,
-    Event,
-    Greeting,
-    Message,
     PeerLimits,
-    Receiver,
     parse_carrier,
-    text_line,
-    welcome,
 )
 
 log = logging.getLogger(__name__)
@@ -250,147 +236,3 @@ class Switchboard:
         self._outputs.append(output)
         log.info("%s writes to %s over %s", self.name, peer, output.carrier)
         return output
-
-
-class Input(ReadingLink):
-    """A connection that was made to a port, from before its greeting on."""
-
-    def __init__(self, board: Switchboard) -> None:
-        self._board = board
-        self._greeted: Greeting | None = None
-        loop = asyncio.get_running_loop()
-        self._silence = loop.call_later(board.limits.greeting_timeout_s, self._end_silence)
-        connection = Connection(Receiver(board.limits), self._on_event, self._on_lost)
-        connection.replies = True
-        super().__init__(connection, "", "", board.dialect)
-
-    @property
-    def connection(self) -> Connection:
-        """The socket, which an output takes over when the peer asks to read."""
-        return self._connection
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether the peer has not chosen a carrier yet."""
-        return self._greeted is None
-
-    def drop(self, reason: str) -> None:
-        """Begin to end the connection."""
-        self._connection.close(reason)
-
-    def _end_silence(self) -> None:
-        self._connection.refuse(f"no greeting within {self._board.limits.greeting_timeout_s:g} s")
-
-    def _on_lost(self) -> None:
-        self._silence.cancel()
-        self._board.forget(self)
-        log.debug("%s no longer reads from %s: %s", self._board.name, self.peer or "a silent peer",
-                  self._connection.reason)  # fmt: skip
-
-    def _on_event(self, event: Event) -> None:
-        if self._greeted is None:
-            assert isinstance(event, Greeting)  # noqa: S101 -- a receiver begins with it
-            self._welcome(event)
-        elif isinstance(event, Message):
-            self._on_message(event, self._greeted.carrier)
-        else:
-            raise DecodeError(f"{self.peer} sent {event} where a message should be")
-
-    def _welcome(self, greeted: Greeting) -> None:
-        self._silence.cancel()
-        self.peer = greeted.sender
-        self.carrier = "+".join((greeted.carrier.name, *greeted.modifiers))
-        for modifier in greeted.modifiers:
-            if modifier.partition(".")[0] in ("recv", "send"):
-                raise DecodeError(f"{self.peer} needs the plug-in {modifier!r}, which is not here")
-        self._greeted = greeted
-        self._board.replace(self)
-        tcp_port = self._board.contact.tcp_port
-        self._connection.write(welcome(greeted.carrier, greeted.sender, tcp_port))
-
-    def _on_message(self, message: Message, carrier: Carrier) -> None:
-        letter = message.command[:1]
-        if letter == "D":
-            self._on_object(message, carrier, reply_wanted=False)
-        elif letter == "d":
-            self._on_object(message, carrier, reply_wanted=True)
-        elif letter == "a":
-            self._in_order(partial(self._administer, message), carrier)
-        elif letter == "q":
-            self._acknowledge(carrier)
-            self._connection.close("closed by the peer")
-        elif letter == "r" and carrier is not NAME_SER:
-            self._acknowledge(carrier)
-            modifiers = self._greeted.modifiers if self._greeted else []
-            self._board.turn_round(self, carrier, modifiers)
-        elif carrier.is_text:
-            self._in_order(partial(self._obey, message.command), carrier)
-        else:  # what YARP does with letters that it does not know
-            self._acknowledge(carrier)
-
-    def _on_object(self, message: Message, carrier: Carrier, *, reply_wanted: bool) -> None:
-        on_data, on_call = self._board.on_data, self._board.on_call
-        try:
-            incoming = self._incoming(message, reply_wanted=reply_wanted)
-        except CodecError as error:
-            self._lose(error)
-        else:
-            if on_call is not None and (reply_wanted or on_data is None):
-                self._in_order(partial(self._answer, incoming, on_call), carrier)
-                return
-            if on_data is not None:
-                self._deliver(incoming, on_data)
-            else:
-                self._lose(f"{self._board.name} only sends")
-        self._acknowledge(carrier)
-
-    def _acknowledge(self, carrier: Carrier) -> None:
-        if carrier.acks:
-            self._connection.write(acknowledgement(carrier))
-
-    def _in_order(self, reply: Callable[[], Awaitable[Reply]], carrier: Carrier) -> None:
-        """Send a reply when it is there; the next message waits until then."""
-        self._connection.hold()
-        self._board.spawn(self._send(reply, carrier))
-
-    async def _send(self, answer: Callable[[], Awaitable[Reply]], carrier: Carrier) -> None:
-        try:
-            reply = await answer()
-            try:
-                raw = reply_bytes(reply, carrier, self._dialect)
-            except EncodeError as error:
-                self._lose(error)
-                raw = reply_bytes(fail(str(error)), carrier, self._dialect)
-            self._connection.write(raw + acknowledgement(carrier))
-        finally:
-            self._connection.release()
-
-    async def _answer(self, incoming: Incoming, on_call: OnCall) -> Reply:
-        timeout_s = self._board.limits.reply_timeout_s
-        try:
-            async with asyncio.timeout(timeout_s):
-                reply = await on_call(incoming)
-        except VertebraError as error:
-            self._lose(error)
-            reply = fail(str(error))
-        except TimeoutError:
-            self._lose(f"no reply within {timeout_s:g} s")
-            reply = fail(f"no reply within {timeout_s:g} s")
-        except Exception:
-            self.counters.refused += 1
-            log.exception("on_call of %s failed", self._board.name)
-            reply = fail(f"{self._board.name} failed; its log says why")
-        else:
-            self.counters.messages += 1
-            self.counters.bytes += len(incoming.payload)
-        return reply if incoming.reply_wanted else None
-
-    async def _administer(self, message: Message) -> Reply:
-        try:
-            request = self._incoming(message, reply_wanted=True).bottle()
-        except CodecError as error:
-            return fail(str(error))
-        return await administer(self._board, request)
-
-    async def _obey(self, command: str) -> Reply:
-        return b"".join(map(text_line, await obey(self._board, command)))

@@ -19,14 +19,11 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from vertebra.errors import DecodeError, EncodeError
-from vertebra.yarp.bottle import Incomplete, Value, decode_prefix
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.text import is_complete, join_lines
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
@@ -77,7 +74,7 @@ def parse_number(raw: Buffer, offset: int = 0) -> int | None:
 
 ACK: Final = yarp_number(0)
 TEXT_ACK_LINE: Final = "<ACK>"
-_INDEX: Final = yarp_number(10)
+INDEX: Final = yarp_number(10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +173,7 @@ def parse_carrier(text: str) -> tuple[Carrier, list[str]]:
 
 # --- greetings -------------------------------------------------------------------------------
 
-_MAX_NAME_BYTES: Final = 1000
+MAX_NAME_BYTES: Final = 1000
 _MODIFIER: Final = re.compile(r"\(([^()]*)\)")
 
 
@@ -188,8 +185,8 @@ def greeting(carrier: Carrier, sender: str, modifiers: Sequence[str] = ()) -> by
     """
     lists = [f" ({modifier.replace('.', ' ', 1)})" for modifier in modifiers]
     name = _line_bytes(sender + "".join(lists), "sender name")
-    if not 0 < len(name) < _MAX_NAME_BYTES:
-        raise EncodeError(f"a sender name has 1 to {_MAX_NAME_BYTES - 1} bytes, not {len(name)}")
+    if not 0 < len(name) < MAX_NAME_BYTES:
+        raise EncodeError(f"a sender name has 1 to {MAX_NAME_BYTES - 1} bytes, not {len(name)}")
     if carrier.is_text:
         return carrier.header + name + b"\r\n"
     return carrier.header + _I32.pack(len(name) + 1) + name + b"\0"
@@ -202,9 +199,9 @@ def welcome(carrier: Carrier, sender: str, own_tcp_port: int) -> bytes:
     return text_line(f"Welcome {sender}") if carrier.is_text else yarp_number(own_tcp_port)
 
 
-def _parse_sender(raw: bytes) -> tuple[str, list[str]]:
+def parse_sender(raw: bytes) -> tuple[str, list[str]]:
     """Return name and modifiers of a sender that calls itself `/name (key value) (key)`."""
-    text = _decoded(raw)
+    text = decoded(raw)
     modifiers = [".".join(words.split()) for words in _MODIFIER.findall(text)]
     return text.partition(" ")[0], modifiers
 
@@ -213,7 +210,7 @@ def _parse_sender(raw: bytes) -> tuple[str, list[str]]:
 
 _REVERSE: Final = "r"
 _QUIT: Final = "q"
-_SMALL_BYTES: Final = 16 * 1024
+SMALL_BYTES: Final = 16 * 1024
 
 
 def _short_command(letter: str) -> bytes:
@@ -225,7 +222,7 @@ def _long_command(text: bytes) -> bytes:
 
 
 _SHORT_COMMANDS: Final = {letter: _short_command(letter) for letter in ("D", "d", "a", _REVERSE)}
-_LETTERS: Final = {ord(letter): letter for letter in _SHORT_COMMANDS}
+LETTERS: Final = {ord(letter): letter for letter in _SHORT_COMMANDS}
 
 
 def command(letter: str, envelope: str = "") -> bytes:
@@ -249,12 +246,12 @@ def binary_message(command_block: bytes, payload: Sequence[Buffer]) -> list[Buff
     if size >= 2**31:
         raise EncodeError(f"a YARP message has at most {2**31 - 1} bytes, not {size}")
     sizes = (len(command_block), size) if size else (len(command_block),)
-    index = struct.pack(f"<8s2s8s{len(sizes) + 1}i", _INDEX, bytes((len(sizes), 1)), b"\xff" * 8,
+    index = struct.pack(f"<8s2s8s{len(sizes) + 1}i", INDEX, bytes((len(sizes), 1)), b"\xff" * 8,
                         *sizes, 0)  # fmt: skip
     buffers: list[Buffer] = []
     small: list[Buffer] = [index, command_block]
     for part in payload:
-        if len(part) <= _SMALL_BYTES:
+        if len(part) <= SMALL_BYTES:
             small.append(part)
         else:
             buffers += (b"".join(small), part) if small else (part,)
@@ -293,299 +290,6 @@ def _line_bytes(text: str, what: str) -> bytes:
     return text.encode("utf-8", "surrogateescape")
 
 
-def _decoded(raw: Buffer) -> str:
+def decoded(raw: Buffer) -> str:
+    """Return bytes as text, whatever they are; `text_line` gives them back unchanged."""
     return str(raw, "utf-8", "surrogateescape")
-
-
-# --- receiving -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Greeting:
-    """A peer has chosen its carrier and said its name."""
-
-    carrier: Carrier
-    sender: str
-    modifiers: list[str]
-
-
-@dataclass(slots=True)
-class Message:
-    """One message; on text carriers also a line that is not one, such as `Welcome` or `<ACK>`.
-
-    Attributes:
-        command: Letter and what follows it, such as `D` or `D 41 1234.5`.
-        payload: The object in binary, or the text of a bottle.
-    """
-
-    command: str
-    payload: memoryview | str
-
-    @property
-    def envelope(self) -> str:
-        """The text beside the payload."""
-        return self.command[2:]
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A YARP number between messages: the answer to a greeting, or an ack (0)."""
-
-    value: int
-
-
-@dataclass(frozen=True, slots=True)
-class CallReply:
-    """The reply to a call, None where there was only an ack."""
-
-    values: list[Value] | None
-
-
-Event: TypeAlias = Greeting | Message | Number | CallReply
-
-_SCRATCH_BYTES: Final = 64 * 1024
-_MAX_COMMAND_BYTES: Final = 64 * 1024
-_MAX_CONTINUED_LINES: Final = 100
-
-
-class Receiver:
-    """Cuts what a peer sends into events.
-
-    Fill `get_buffer()`, say how much with `buffer_updated()`, then take `next_event()` until it
-    is None. A large message is received into a buffer of its own, which its payload then is.
-    All methods that parse raise DecodeError on what breaks the stream.
-
-    Args:
-        limits: What the peer may send.
-        dialled: The carrier of a connection that we opened; None if the peer greets us.
-    """
-
-    def __init__(self, limits: PeerLimits, dialled: Carrier | None = None) -> None:
-        self._limits = limits
-        self._scratch = bytearray(_SCRATCH_BYTES)
-        self._view = memoryview(self._scratch)
-        self._begin = self._end = 0  # of what lies unread in the scratch
-        self._large: bytearray | None = None
-        self._filled = 0
-        self._pending = bytearray()  # the begin of a line or of a reply
-        self._text_command: str | None = None  # of which the payload line has not come yet
-        self._text_payload = ""
-        self._text_lines = 0
-        self._reply_dialect = Dialect.V3
-        self._step: Callable[[], Event | None] = self._greeting
-        if dialled is not None:
-            self._step = self._text if dialled.is_text else self._binary
-
-    @property
-    def full(self) -> bool:
-        """Nothing more can be received before events are taken."""
-        if self._large is not None:
-            return self._filled == len(self._large)
-        return self._end - self._begin == _SCRATCH_BYTES
-
-    def get_buffer(self) -> memoryview:
-        """Return where the next bytes belong; do not call it when `full`."""
-        if self._large is not None:
-            return memoryview(self._large)[self._filled :]
-        if self._begin == self._end:
-            self._begin = self._end = 0
-        elif _SCRATCH_BYTES - self._end < _SCRATCH_BYTES // 2:
-            rest = self._scratch[self._begin : self._end]
-            self._begin, self._end = 0, len(rest)
-            self._view[: self._end] = rest
-        return self._view[self._end :]
-
-    def buffer_updated(self, count: int) -> None:
-        """Note that `count` bytes were written into the buffer."""
-        if self._large is not None:
-            self._filled += count
-        else:
-            self._end += count
-
-    def next_event(self) -> Event | None:
-        """Return what came next, or None until there is more."""
-        return self._step()
-
-    def expect_replies(self, dialect: Dialect) -> None:
-        """Read the replies to our calls from now on."""
-        self._reply_dialect = dialect
-        self._step = self._reply
-
-    def _greeting(self) -> Event | None:
-        have = self._end - self._begin
-        if have < 8:
-            return None
-        carrier = choose_carrier(bytes(self._view[self._begin : self._begin + 8]))
-        if carrier is NAME_SER:
-            self._begin += 8
-            self._step = self._name_ser
-            return Greeting(carrier, "anon", [])
-        name = self._greeting_line() if carrier.is_text else self._greeting_block(have)
-        if name is None:
-            return None
-        self._step = self._text if carrier.is_text else self._binary
-        return Greeting(carrier, *_parse_sender(name))
-
-    def _greeting_line(self) -> bytes | None:
-        begin = self._begin + 8
-        end = self._scratch.find(b"\n", begin, self._end)
-        if end - begin >= _MAX_NAME_BYTES or (end < 0 and self._end - begin > _MAX_NAME_BYTES):
-            raise DecodeError(f"the sender name is longer than {_MAX_NAME_BYTES} bytes")
-        if end < 0:
-            return None
-        self._begin = end + 1
-        return bytes(self._view[begin:end]).rstrip(b"\r")
-
-    def _greeting_block(self, have: int) -> bytes | None:
-        if have < 12:
-            return None
-        (length,) = _I32.unpack_from(self._scratch, self._begin + 8)
-        if not 1 <= length <= _MAX_NAME_BYTES:
-            raise DecodeError(
-                f"the sender announces a name of {length} bytes; 1 to {_MAX_NAME_BYTES} can be"
-            )
-        if have < 12 + length:
-            return None
-        begin = self._begin + 12
-        self._begin = begin + length
-        return bytes(self._view[begin : begin + length]).partition(b"\0")[0]
-
-    def _binary(self) -> Event | None:
-        large = self._large
-        if large is not None:
-            if self._filled < len(large):
-                return None
-            self._large = None
-            return _parse_message(large)
-        scratch, begin = self._scratch, self._begin
-        have = self._end - begin
-        if have < 8:
-            return None
-        if not scratch.startswith(_INDEX, begin):
-            return self._number()
-        if have < 18:
-            return None
-        blocks, outputs = scratch[begin + 8], scratch[begin + 9]
-        start = begin + 18 + 4 * (blocks + outputs)
-        if self._end < start:
-            return None
-        total = self._total(struct.unpack_from(f"<{blocks}i", scratch, begin + 18))
-        end = start + total
-        if end <= self._end:
-            self._begin = end
-            return _parse_message(bytes(self._view[start:end]))
-        if total > _SMALL_BYTES:
-            self._receive_large(total, start)
-        return None
-
-    def _number(self) -> Number:
-        value = parse_number(self._scratch, self._begin)
-        if value is None:
-            raw = bytes(self._view[self._begin : self._begin + 8])
-            raise DecodeError(f"a message must begin with a YARP number, not with {raw!r}")
-        self._begin += 8
-        return Number(value)
-
-    def _total(self, sizes: tuple[int, ...]) -> int:
-        if min(sizes, default=0) < 0:
-            raise DecodeError(f"a message announces a block of {min(sizes)} bytes")
-        total = sum(sizes)
-        if total < 8:
-            raise DecodeError(f"a message of {total} bytes has no room for its command")
-        limit = self._limits.max_message_bytes
-        if total > limit:
-            raise DecodeError(f"a message announces {total} bytes; max_message_bytes is {limit}")
-        return total
-
-    def _receive_large(self, total: int, start: int) -> None:
-        self._large = bytearray(total)
-        self._filled = self._end - start
-        self._large[: self._filled] = self._view[start : self._end]
-        self._begin = self._end = 0
-
-    def _line(self) -> str | None:
-        end = self._scratch.find(b"\n", self._begin, self._end)
-        stop = self._end if end < 0 else end
-        self._pending += self._view[self._begin : stop]
-        self._begin = stop
-        if len(self._pending) > self._limits.max_text_bytes:
-            raise DecodeError(
-                f"a line is longer than max_text_bytes, {self._limits.max_text_bytes}"
-            )
-        if end < 0:
-            return None
-        self._begin += 1
-        line = _decoded(self._pending).removesuffix("\r")
-        self._pending.clear()
-        return line
-
-    def _text(self) -> Event | None:
-        while (line := self._line()) is not None:
-            if self._text_command is None:
-                if line[:1] not in ("D", "d", "a"):
-                    return Message(line, "")
-                self._text_command = line
-                continue
-            joined = join_lines(self._text_payload, line) if self._text_lines else line
-            self._text_lines += 1
-            if not is_complete(joined):
-                self._continue_text(joined)
-                continue
-            message = Message(self._text_command, joined)
-            self._text_command, self._text_payload, self._text_lines = None, "", 0
-            return message
-        return None
-
-    def _continue_text(self, text: str) -> None:
-        # A limit on lines as well, since every line is a look at all before it.
-        if self._text_lines > _MAX_CONTINUED_LINES or len(text) > self._limits.max_text_bytes:
-            raise DecodeError(
-                f"a bottle is still open after {self._text_lines} lines, {len(text)} characters"
-            )
-        self._text_payload = text
-
-    def _name_ser(self) -> Event | None:
-        line = self._line()
-        if line is None:
-            return None
-        # The eight bytes of the header have gone from the first line.
-        return Message("d", line.removeprefix("VER ").removeprefix("NAME_SERVER "))
-
-    def _reply(self) -> Event | None:
-        pending = self._pending
-        pending += self._view[self._begin : self._end]
-        self._begin = self._end
-        limit = self._limits.max_message_bytes
-        if len(pending) > limit:
-            raise DecodeError(f"a reply is longer than max_message_bytes, {limit}")
-        # The ack ends a reply; looking for it first spares parsing at every arrival.
-        if not pending.endswith(ACK):
-            return None
-        if len(pending) == len(ACK):
-            pending.clear()
-            return CallReply(None)
-        try:
-            values, end = decode_prefix(pending, 0, self._reply_dialect)
-        except Incomplete:
-            return None  # the reply holds the bytes of an ack
-        if end == len(pending):
-            return None  # it ends in them, and its own ack is to come
-        if end != len(pending) - len(ACK):
-            raise DecodeError(
-                f"a reply of {end} bytes should be followed by an ack, but "
-                f"{len(pending) - end} bytes came"
-            )
-        pending.clear()
-        return CallReply(values)
-
-
-def _parse_message(raw: bytes | bytearray) -> Message:
-    if raw[4] != 0x7E:
-        raise DecodeError(f"a message must begin with a port command, not with {bytes(raw[:8])!r}")
-    code = raw[5]
-    if code:
-        return Message(_LETTERS.get(code) or chr(code), memoryview(raw).toreadonly()[8:])
-    end = raw.find(0, 8, 8 + _MAX_COMMAND_BYTES)
-    if end < 0:
-        raise DecodeError(f"a port command does not end within {_MAX_COMMAND_BYTES} bytes")
-    return Message(_decoded(raw[8:end]), memoryview(raw).toreadonly()[end + 1 :])

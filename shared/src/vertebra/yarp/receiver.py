@@ -1,0 +1,320 @@
+"""What a YARP peer sends, cut into events; without any I/O."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from vertebra.errors import DecodeError
+from vertebra.yarp.bottle import Incomplete, Value, decode_prefix
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.text import is_complete, join_lines
+from vertebra.yarp.wire import (
+    ACK,
+    INDEX,
+    LETTERS,
+    MAX_NAME_BYTES,
+    NAME_SER,
+    SMALL_BYTES,
+    Carrier,
+    PeerLimits,
+    choose_carrier,
+    decoded,
+    parse_number,
+    parse_sender,
+)
+
+_I32 = struct.Struct("<i")
+
+
+@dataclass(frozen=True, slots=True)
+class Greeting:
+    """A peer has chosen its carrier and said its name."""
+
+    carrier: Carrier
+    sender: str
+    modifiers: list[str]
+
+
+@dataclass(slots=True)
+class Message:
+    """One message; on text carriers also a line that is not one, such as `Welcome` or `<ACK>`.
+
+    Attributes:
+        command: Letter and what follows it, such as `D` or `D 41 1234.5`.
+        payload: The object in binary, or the text of a bottle.
+    """
+
+    command: str
+    payload: memoryview | str
+
+    @property
+    def envelope(self) -> str:
+        """The text beside the payload."""
+        return self.command[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A YARP number between messages: the answer to a greeting, or an ack (0)."""
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class CallReply:
+    """The reply to a call, None where there was only an ack."""
+
+    values: list[Value] | None
+
+
+Event: TypeAlias = Greeting | Message | Number | CallReply
+
+_SCRATCH_BYTES: Final = 64 * 1024
+_MAX_COMMAND_BYTES: Final = 64 * 1024
+_MAX_CONTINUED_LINES: Final = 100
+
+
+class Receiver:
+    """Cuts what a peer sends into events.
+
+    Fill `get_buffer()`, say how much with `buffer_updated()`, then take `next_event()` until it
+    is None. A large message is received into a buffer of its own, which its payload then is.
+    All methods that parse raise DecodeError on what breaks the stream.
+
+    Args:
+        limits: What the peer may send.
+        dialled: The carrier of a connection that we opened; None if the peer greets us.
+    """
+
+    def __init__(self, limits: PeerLimits, dialled: Carrier | None = None) -> None:
+        self._limits = limits
+        self._scratch = bytearray(_SCRATCH_BYTES)
+        self._view = memoryview(self._scratch)
+        self._begin = self._end = 0  # of what lies unread in the scratch
+        self._large: bytearray | None = None
+        self._filled = 0
+        self._pending = bytearray()  # the begin of a line or of a reply
+        self._text_command: str | None = None  # of which the payload line has not come yet
+        self._text_payload = ""
+        self._text_lines = 0
+        self._reply_dialect = Dialect.V3
+        self._step: Callable[[], Event | None] = self._greeting
+        if dialled is not None:
+            self._step = self._text if dialled.is_text else self._binary
+
+    @property
+    def full(self) -> bool:
+        """Nothing more can be received before events are taken."""
+        if self._large is not None:
+            return self._filled == len(self._large)
+        return self._end - self._begin == _SCRATCH_BYTES
+
+    def get_buffer(self) -> memoryview:
+        """Return where the next bytes belong; do not call it when `full`."""
+        if self._large is not None:
+            return memoryview(self._large)[self._filled :]
+        if self._begin == self._end:
+            self._begin = self._end = 0
+        elif _SCRATCH_BYTES - self._end < _SCRATCH_BYTES // 2:
+            rest = self._scratch[self._begin : self._end]
+            self._begin, self._end = 0, len(rest)
+            self._view[: self._end] = rest
+        return self._view[self._end :]
+
+    def buffer_updated(self, count: int) -> None:
+        """Note that `count` bytes were written into the buffer."""
+        if self._large is not None:
+            self._filled += count
+        else:
+            self._end += count
+
+    def next_event(self) -> Event | None:
+        """Return what came next, or None until there is more."""
+        return self._step()
+
+    def expect_replies(self, dialect: Dialect) -> None:
+        """Read the replies to our calls from now on."""
+        self._reply_dialect = dialect
+        self._step = self._reply
+
+    def _greeting(self) -> Event | None:
+        have = self._end - self._begin
+        if have < 8:
+            return None
+        carrier = choose_carrier(bytes(self._view[self._begin : self._begin + 8]))
+        if carrier is NAME_SER:
+            self._begin += 8
+            self._step = self._name_ser
+            return Greeting(carrier, "anon", [])
+        name = self._greeting_line() if carrier.is_text else self._greeting_block(have)
+        if name is None:
+            return None
+        self._step = self._text if carrier.is_text else self._binary
+        return Greeting(carrier, *parse_sender(name))
+
+    def _greeting_line(self) -> bytes | None:
+        begin = self._begin + 8
+        end = self._scratch.find(b"\n", begin, self._end)
+        if end - begin >= MAX_NAME_BYTES or (end < 0 and self._end - begin > MAX_NAME_BYTES):
+            raise DecodeError(f"the sender name is longer than {MAX_NAME_BYTES} bytes")
+        if end < 0:
+            return None
+        self._begin = end + 1
+        return bytes(self._view[begin:end]).rstrip(b"\r")
+
+    def _greeting_block(self, have: int) -> bytes | None:
+        if have < 12:
+            return None
+        (length,) = _I32.unpack_from(self._scratch, self._begin + 8)
+        if not 1 <= length <= MAX_NAME_BYTES:
+            raise DecodeError(
+                f"the sender announces a name of {length} bytes; 1 to {MAX_NAME_BYTES} can be"
+            )
+        if have < 12 + length:
+            return None
+        begin = self._begin + 12
+        self._begin = begin + length
+        return bytes(self._view[begin : begin + length]).partition(b"\0")[0]
+
+    def _binary(self) -> Event | None:
+        large = self._large
+        if large is not None:
+            if self._filled < len(large):
+                return None
+            self._large = None
+            return _parse_message(large)
+        scratch, begin = self._scratch, self._begin
+        have = self._end - begin
+        if have < 8:
+            return None
+        if not scratch.startswith(INDEX, begin):
+            return self._number()
+        if have < 18:
+            return None
+        blocks, outputs = scratch[begin + 8], scratch[begin + 9]
+        start = begin + 18 + 4 * (blocks + outputs)
+        if self._end < start:
+            return None
+        total = self._total(struct.unpack_from(f"<{blocks}i", scratch, begin + 18))
+        end = start + total
+        if end <= self._end:
+            self._begin = end
+            return _parse_message(bytes(self._view[start:end]))
+        if total > SMALL_BYTES:
+            self._receive_large(total, start)
+        return None
+
+    def _number(self) -> Number:
+        value = parse_number(self._scratch, self._begin)
+        if value is None:
+            raw = bytes(self._view[self._begin : self._begin + 8])
+            raise DecodeError(f"a message must begin with a YARP number, not with {raw!r}")
+        self._begin += 8
+        return Number(value)
+
+    def _total(self, sizes: tuple[int, ...]) -> int:
+        if min(sizes, default=0) < 0:
+            raise DecodeError(f"a message announces a block of {min(sizes)} bytes")
+        total = sum(sizes)
+        if total < 8:
+            raise DecodeError(f"a message of {total} bytes has no room for its command")
+        limit = self._limits.max_message_bytes
+        if total > limit:
+            raise DecodeError(f"a message announces {total} bytes; max_message_bytes is {limit}")
+        return total
+
+    def _receive_large(self, total: int, start: int) -> None:
+        self._large = bytearray(total)
+        self._filled = self._end - start
+        self._large[: self._filled] = self._view[start : self._end]
+        self._begin = self._end = 0
+
+    def _line(self) -> str | None:
+        end = self._scratch.find(b"\n", self._begin, self._end)
+        stop = self._end if end < 0 else end
+        self._pending += self._view[self._begin : stop]
+        self._begin = stop
+        if len(self._pending) > self._limits.max_text_bytes:
+            raise DecodeError(
+                f"a line is longer than max_text_bytes, {self._limits.max_text_bytes}"
+            )
+        if end < 0:
+            return None
+        self._begin += 1
+        line = decoded(self._pending).removesuffix("\r")
+        self._pending.clear()
+        return line
+
+    def _text(self) -> Event | None:
+        while (line := self._line()) is not None:
+            if self._text_command is None:
+                if line[:1] not in ("D", "d", "a"):
+                    return Message(line, "")
+                self._text_command = line
+                continue
+            joined = join_lines(self._text_payload, line) if self._text_lines else line
+            self._text_lines += 1
+            if not is_complete(joined):
+                self._continue_text(joined)
+                continue
+            message = Message(self._text_command, joined)
+            self._text_command, self._text_payload, self._text_lines = None, "", 0
+            return message
+        return None
+
+    def _continue_text(self, text: str) -> None:
+        # A limit on lines as well, since every line is a look at all before it.
+        if self._text_lines > _MAX_CONTINUED_LINES or len(text) > self._limits.max_text_bytes:
+            raise DecodeError(
+                f"a bottle is still open after {self._text_lines} lines, {len(text)} characters"
+            )
+        self._text_payload = text
+
+    def _name_ser(self) -> Event | None:
+        line = self._line()
+        if line is None:
+            return None
+        # The eight bytes of the header have gone from the first line.
+        return Message("d", line.removeprefix("VER ").removeprefix("NAME_SERVER "))
+
+    def _reply(self) -> Event | None:
+        pending = self._pending
+        pending += self._view[self._begin : self._end]
+        self._begin = self._end
+        limit = self._limits.max_message_bytes
+        if len(pending) > limit:
+            raise DecodeError(f"a reply is longer than max_message_bytes, {limit}")
+        # The ack ends a reply; looking for it first spares parsing at every arrival.
+        if not pending.endswith(ACK):
+            return None
+        if len(pending) == len(ACK):
+            pending.clear()
+            return CallReply(None)
+        try:
+            values, end = decode_prefix(pending, 0, self._reply_dialect)
+        except Incomplete:
+            return None  # the reply holds the bytes of an ack
+        if end == len(pending):
+            return None  # it ends in them, and its own ack is to come
+        if end != len(pending) - len(ACK):
+            raise DecodeError(
+                f"a reply of {end} bytes should be followed by an ack, but "
+                f"{len(pending) - end} bytes came"
+            )
+        pending.clear()
+        return CallReply(values)
+
+
+def _parse_message(raw: bytes | bytearray) -> Message:
+    if raw[4] != 0x7E:
+        raise DecodeError(f"a message must begin with a port command, not with {bytes(raw[:8])!r}")
+    code = raw[5]
+    if code:
+        return Message(LETTERS.get(code) or chr(code), memoryview(raw).toreadonly()[8:])
+    end = raw.find(0, 8, 8 + _MAX_COMMAND_BYTES)
+    if end < 0:
+        raise DecodeError(f"a port command does not end within {_MAX_COMMAND_BYTES} bytes")
+    return Message(decoded(raw[8:end]), memoryview(raw).toreadonly()[end + 1 :])
