@@ -55,7 +55,7 @@ PURE: Final = {
     "shared/src/vertebra/codec/*.py", "shared/src/vertebra/keys.py",
     "shared/src/vertebra/messages/*.py", "shared/src/vertebra/yarp/bottle.py",
     "shared/src/vertebra/yarp/dialect.py", "shared/src/vertebra/yarp/incoming.py",
-    "shared/src/vertebra/yarp/objects.py", "shared/src/vertebra/yarp/text.py",
+    "shared/src/vertebra/yarp/objects/*.py", "shared/src/vertebra/yarp/text.py",
     "shared/src/vertebra/yarp/wire.py",
     "plugins/*.py",
     "services/*/board.py", "services/*/body.py", "services/*/geometry.py",
