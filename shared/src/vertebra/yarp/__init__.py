@@ -5,7 +5,7 @@ no YARP installation. Images, vectors and stamps are in `objects`.
 
 `wire` knows the bytes that we send and `receiver` those that come, both without I/O; `link` is one
 connection, `inputs` and `outputs` are its two sides, `switchboard` all those of a port, `port` its
-life; `client` reads and calls ports without being one.
+life; `client` reads and calls ports without being one, and `connections` joins any two.
 """
 
 from __future__ import annotations

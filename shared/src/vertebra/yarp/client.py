@@ -12,7 +12,7 @@ from vertebra.yarp.bottle import Value, encode
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import OnData, ReadingLink, acknowledgement
 from vertebra.yarp.link import Connection, Link, dial, find
-from vertebra.yarp.names import NameClient, check_name
+from vertebra.yarp.names import Contact, NameClient, check_name
 from vertebra.yarp.receiver import CallReply, Event, Message, Number
 from vertebra.yarp.wire import (
     DEFAULT_LIMITS,
@@ -132,9 +132,27 @@ class RpcClient(Link):
             NotConnectedError: `name` is not registered, or nobody listens there.
             DeadlineError: It does not answer.
         """
-        contact = await find(name, names)
+        return await cls.dial(
+            await find(name, names),
+            sender=sender,
+            dialect=dialect,
+            limits=limits,
+            max_waiting_calls=max_waiting_calls,
+        )
+
+    @classmethod
+    async def dial(
+        cls,
+        contact: Contact,
+        *,
+        sender: str = "anon_rpc",
+        dialect: Dialect = Dialect.V3,
+        limits: PeerLimits = DEFAULT_LIMITS,
+        max_waiting_calls: int = 64,
+    ) -> Self:
+        """Dial a port whose place is known; see `connect`."""
         connection = await dial(contact, TCP, sender, (), limits)
-        client = cls(connection, name, dialect, max_waiting_calls)
+        client = cls(connection, contact.name, dialect, max_waiting_calls)
         connection.release()
         return client
 
@@ -150,17 +168,14 @@ class RpcClient(Link):
             BusyError: `max_waiting_calls` are waiting already.
             EncodeError: A value has no form in a bottle.
         """
-        request = encode(values, self._dialect)
-        if self._calls > self._max_waiting_calls:
-            raise BusyError(f"the YARP connection to {self.peer}", self._max_waiting_calls)
-        self._calls += 1
-        try:
-            async with asyncio.timeout(timeout_s), self._turn:
-                return await self._exchange(request)
-        except TimeoutError:
-            raise DeadlineError(f"YARP port {self.peer}", timeout_s) from None
-        finally:
-            self._calls -= 1
+        return await self._ask("d", values, timeout_s)
+
+    async def administer(self, values: Sequence[Value], *, timeout_s: float) -> list[Value]:
+        """Send a request to the port itself, not to its owner, such as `[list] [out]`.
+
+        Raises what `call` raises.
+        """
+        return await self._ask("a", values, timeout_s)
 
     async def close(self) -> None:
         """Tell the port, then end the connection; a call that waits fails."""
@@ -179,12 +194,25 @@ class RpcClient(Link):
     ) -> None:
         await self.close()
 
-    async def _exchange(self, request: bytes) -> list[Value]:
+    async def _ask(self, letter: str, values: Sequence[Value], timeout_s: float) -> list[Value]:
+        request = encode(values, self._dialect)
+        if self._calls > self._max_waiting_calls:
+            raise BusyError(f"the YARP connection to {self.peer}", self._max_waiting_calls)
+        self._calls += 1
+        try:
+            async with asyncio.timeout(timeout_s), self._turn:
+                return await self._exchange(letter, request)
+        except TimeoutError:
+            raise DeadlineError(f"YARP port {self.peer}", timeout_s) from None
+        finally:
+            self._calls -= 1
+
+    async def _exchange(self, letter: str, request: bytes) -> list[Value]:
         if self._connection.closing:
             raise self._lost()
         self._reply = asyncio.get_running_loop().create_future()
         try:
-            self._connection.write(*binary_message(command("d"), (request,)))
+            self._connection.write(*binary_message(command(letter), (request,)))
             reply = await self._reply
         except BaseException:
             self._connection.close("a call was given up, and with it the place in the stream")
