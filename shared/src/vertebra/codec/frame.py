@@ -8,9 +8,9 @@ from typing import Any, Final, TypeVar
 import msgspec
 from typing_extensions import Buffer
 
-from vertebra.codec.values import ValueCodecs
+from vertebra.codec.values import ValueCodecs, check_plain
 from vertebra.errors import CodecError, CodecNotFoundError, DecodeError, EncodeError
-from vertebra.messages import MESSAGES, Array, Foreign, Header, Message
+from vertebra.messages import MESSAGES, Array, Foreign, Header, Message, Native
 
 ENCODING: Final = "application/vnd.vertebra.frame"
 MAGIC: Final = b"VTB\x01"
@@ -138,6 +138,8 @@ class FrameCodec:
         packer = _Packer(self._values)
         buffers = packer.buffers
         try:
+            if isinstance(message, Native):
+                check_plain(message.value)
             fields = msgspec.msgpack.encode(message, enc_hook=packer.pack)
             head = msgspec.msgpack.encode(
                 _FrameHeader(

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import dataclasses
+import datetime as dt
+import decimal
+import enum
+import uuid
+from collections.abc import Collection, Iterable
 from importlib.metadata import EntryPoint
 from typing import Any, Final, Protocol
 
-from vertebra.errors import CodecNotFoundError, ConfigError
+import msgspec
+
+from vertebra.errors import CodecNotFoundError, ConfigError, EncodeError
 from vertebra.messages import Foreign
 
 GROUP: Final = "vertebra.values"
+_LEAVES: Final = frozenset({type(None), bool, int, float, str, bytes, bytearray, memoryview})
+_ALTERED: Final = (
+    dt.date,
+    dt.time,
+    dt.timedelta,
+    decimal.Decimal,
+    enum.Enum,
+    msgspec.Struct,
+    set,
+    frozenset,
+    uuid.UUID,
+)
 
 
 class ValueCodec(Protocol):
@@ -70,6 +89,41 @@ def list_entry_points(found: Iterable[EntryPoint]) -> dict[str, EntryPoint]:
                 f"in {entry_point.group}; uninstall one of them"
             )
     return listed
+
+
+def check_plain(value: Any) -> None:
+    """Refuse what msgspec would turn into something else without a word, at any depth of `value`.
+
+    Dates would come back as text, sets as lists, enumerations and data classes as what they hold.
+    Tuples do come back as lists, as in JSON: they are how Python people write short lists.
+
+    Raises:
+        EncodeError: There is such a value.
+        RecursionError: It is nested too deeply, or holds itself.
+    """
+    if isinstance(value, dict):
+        _check_each(value)
+        _check_each(value.values())
+    elif isinstance(value, list | tuple):
+        _check_each(value)
+    else:
+        _refuse_altered(value)
+
+
+def _check_each(values: Collection[Any]) -> None:
+    # Long lists of numbers are the common case, and so are looked through by C.
+    if not _LEAVES.issuperset(map(type, values)):
+        for value in values:
+            if type(value) not in _LEAVES:
+                check_plain(value)
+
+
+def _refuse_altered(value: Any) -> None:
+    if isinstance(value, _ALTERED) or dataclasses.is_dataclass(value):
+        raise EncodeError(
+            f"{value!r:.80} of type {_name(type(value))} would not come back as what it is; "
+            "convert it to text, numbers, lists and dicts, or write a codec plugin for it"
+        )
 
 
 def _name(cls: type) -> str:

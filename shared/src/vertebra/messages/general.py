@@ -39,6 +39,7 @@ class Tensor(Message, frozen=True, kw_only=True):
 class Native(Message, frozen=True, kw_only=True):
     """Any nesting of None, bool, int, float, str, bytes, list, dict and `Array`.
 
+    A tuple comes back as a list; a date, a set or a data class has no frame and is refused.
     Values of a library (a NumPy array, a data frame) go in as they are and come out the same where
     the codec plugin of that library is installed, as `Foreign` elsewhere.
     """
