@@ -11,6 +11,7 @@ from pydantic_settings import SettingsConfigDict
 
 from vertebra.errors import ConfigError
 from vertebra.service import ServiceSettings
+from vertebra_gateway.profile import load_profiles
 
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,}")
 _REMEDY: Final = 'python3 -c "import secrets; print(secrets.token_urlsafe(24))"'
@@ -30,6 +31,11 @@ class GatewaySettings(ServiceSettings):
     )
     robots: Path = Field(Path("deploy/robots"), description="Folder of the robot profiles.")
     jpeg_quality: int = Field(80, ge=1, le=95, description="Quality of the JPEG images it makes.")
+
+    def check(self) -> None:
+        """See `ServiceSettings.check`."""
+        self.read_token()
+        load_profiles(self.robots)
 
     def read_token(self) -> str:
         """Return the token in force.

@@ -8,6 +8,7 @@ from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
 from vertebra.service import ServiceSettings
+from vertebra_yarp.routes import read_routes
 
 
 class YarpSettings(ServiceSettings):
@@ -32,3 +33,7 @@ class YarpSettings(ServiceSettings):
     prefix: str = Field(
         "/vertebra", description="Our own YARP ports are named below this.", pattern="^/"
     )
+
+    def check(self) -> None:
+        """See `ServiceSettings.check`."""
+        read_routes(self.routes)

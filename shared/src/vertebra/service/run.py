@@ -152,13 +152,14 @@ def main(
 ) -> int:
     """Run a service until SIGTERM or SIGINT; return the exit status of the process.
 
-    `--check` validates the settings, prints them without secrets and exits.
+    `--check` validates the settings and what they name, prints them without secrets and exits.
     """
     parser = argparse.ArgumentParser(prog=f"vertebra_{name}", description=settings_type.__doc__)
     parser.add_argument("--check", action="store_true", help="validate and print the settings")
     arguments = parser.parse_args()
     try:
         settings = load_settings(settings_type)
+        settings.check()
     except ConfigError as error:
         sys.stderr.write(f"{name}: {error}\n")
         return EXIT_CONFIG

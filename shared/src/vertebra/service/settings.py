@@ -52,6 +52,13 @@ class ServiceSettings(BaseSettings):
         description="Tells two services of one kind apart.",
     )
 
+    def check(self) -> None:
+        """Look at what the settings name, such as files; called before the service joins the bus.
+
+        Raises:
+            ConfigError: Something of it is wrong.
+        """
+
 
 S = TypeVar("S", bound=ServiceSettings)
 
