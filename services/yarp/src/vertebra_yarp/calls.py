@@ -15,49 +15,25 @@ from vertebra.yarp import Incoming, Value, Vocab, from_text, to_text
 from vertebra_yarp import mapping
 from vertebra_yarp.carried import Carried, Kit
 from vertebra_yarp.driver import Caller, Transport
+from vertebra_yarp.links import Redialled
 from vertebra_yarp.routes import Call
 
 JSON: Final = "application/json"
 
 
-class RpcLink:
+class RpcLink(Redialled[Caller]):
     """A connection to an RPC port that is made when needed and again after a loss."""
 
     def __init__(self, transport: Transport, name: str) -> None:
-        self._transport = transport
-        self._name = name
-        self._caller: Caller | None = None
-        self._closed: asyncio.Task[str] | None = None
-        self._lock = asyncio.Lock()
+        super().__init__(lambda: transport.dial(name))
 
     async def caller(self) -> Caller:
         """Return a connection that was alive a moment ago; raise `TransportError`."""
-        async with self._lock:
-            if self._caller is None or self._closed is None or self._closed.done():
-                await self._drop()
-                self._caller = await self._transport.dial(self._name)
-                self._closed = asyncio.create_task(self._caller.wait_closed())
-            return self._caller
+        return await self.get()
 
     async def call(self, request: list[Value], *, timeout_s: float) -> list[Value]:
         """Call the port; see `Caller.call`."""
-        return await (await self.caller()).call(request, timeout_s=timeout_s)
-
-    async def wait_closed(self) -> str:
-        """Return why the present connection ended, when it has."""
-        return await asyncio.shield(self._closed) if self._closed is not None else "not connected"
-
-    async def _drop(self) -> None:
-        if self._caller is not None:
-            await self._caller.close()
-        if self._closed is not None:
-            self._closed.cancel()
-        self._caller = self._closed = None
-
-    async def close(self) -> None:
-        """End it."""
-        async with self._lock:
-            await self._drop()
+        return await (await self.get()).call(request, timeout_s=timeout_s)
 
 
 class InboundCall(Carried):

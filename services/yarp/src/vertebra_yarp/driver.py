@@ -11,6 +11,7 @@ from vertebra.yarp import (
     Contact,
     Counters,
     Delivery,
+    Dialect,
     NameClient,
     NameServer,
     OnCall,
@@ -18,6 +19,7 @@ from vertebra.yarp import (
     Port,
     Reader,
     RpcClient,
+    Sender,
     Value,
 )
 from vertebra.yarp.wire import Buffer
@@ -38,8 +40,25 @@ class Connection(Protocol):
 class Caller(Connection, Protocol):
     """A connection to a YARP RPC port."""
 
+    @property
+    def dialect(self) -> Dialect:
+        """The YARP generation of the other side."""
+        ...
+
     async def call(self, values: Sequence[Value], *, timeout_s: float) -> list[Value]:
         """Send a bottle and return the reply; see `RpcClient.call`."""
+        ...
+
+
+class Sink(Connection, Protocol):
+    """A connection into a YARP input port of somebody else."""
+
+    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
+        """Send one object, without waiting; see `Sender.write`."""
+        ...
+
+    async def wait_taken(self) -> bool:
+        """Wait until the port has everything; see `Sender.wait_taken`."""
         ...
 
 
@@ -75,6 +94,12 @@ class Transport(Protocol):
         """Connect to the RPC port `name`."""
         ...
 
+    async def send_to(
+        self, dest: str, sender_name: str, *, carrier: str = "fast_tcp", depth: int = 0
+    ) -> Sink:
+        """Connect to the input port `dest`, which keeps the newest message, or a queue."""
+        ...
+
     async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Writer:
         """Open an output port that others connect to readers, or read in reverse."""
         ...
@@ -103,6 +128,19 @@ class NativeDriver:
     async def dial(self, name: str) -> RpcClient:
         """See `Transport.dial`."""
         return await RpcClient.connect(name, self._names)
+
+    async def send_to(
+        self, dest: str, sender_name: str, *, carrier: str = "fast_tcp", depth: int = 0
+    ) -> Sender:
+        """See `Transport.send_to`: nothing of ours is registered or listens."""
+        return await Sender.dial(
+            dest,
+            self._names,
+            sender_name=sender_name,
+            carrier=carrier,
+            delivery="queue" if depth else "latest",
+            depth=depth,
+        )
 
     async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Port:
         """See `Transport.open_writer`."""

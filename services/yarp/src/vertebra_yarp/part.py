@@ -1,81 +1,122 @@
-"""A control board as a robot part: joint state, limits, moves, stop."""
+"""A control board as a robot part: joint state, limits, moves, velocities, modes, stop."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
-from typing import Final
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from typing import Any, Final
 
 import msgspec
 
-from vertebra.bus import Reply, Request
-from vertebra.errors import NotConnectedError, TransportError
-from vertebra.messages import Message
-from vertebra.yarp import Incoming, Value
-from vertebra_yarp import board, mapping
+from vertebra.bus import Delivery, Reply, Request
+from vertebra.errors import (
+    CodecError,
+    CommandRefusedError,
+    DeadlineError,
+    DecodeError,
+    NotConnectedError,
+    TransportError,
+)
+from vertebra.messages import JointCommand, Message
+from vertebra.service import MessageReader
+from vertebra.yarp import Dialect, Incoming, PortNotFoundError
+from vertebra.yarp.objects import JointData, Pair, Vector
+from vertebra_yarp import board, mapping, words
 from vertebra_yarp.calls import JSON, RpcLink
 from vertebra_yarp.carried import Carried, Kit
+from vertebra_yarp.links import Redialled
 from vertebra_yarp.routes import ControlBoard, Stream
 from vertebra_yarp.streams import InboundStream
+from vertebra_yarp.velocity import Runner
 
 log = logging.getLogger(__name__)
 
-CONNECT_TIMEOUT_S: Final = 5.0
+ANSWER_S: Final = 5.0
 ARRIVED_POLL_S: Final = 0.03
 
 
 class PartState(InboundStream):
-    """The positions of a control board."""
+    """The joint state of a control board: all it measures, or the positions alone."""
 
-    def __init__(self, kit: Kit, part: Part) -> None:
+    def __init__(self, kit: Kit, part: Part, *, extended: bool) -> None:
         self._part = part
+        self._extended = extended
         route = part.route
+        leaf = "stateExt:o" if extended else "state:o"
         super().__init__(
-            kit,
-            Stream(yarp=f"{route.yarp}/state:o", key=f"{route.key}/state", type="JointState"),
+            kit, Stream(yarp=f"{route.yarp}/{leaf}", key=f"{route.key}/state", type="JointState")
         )
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the joint state; raise `DecodeError`, also before the joints are known."""
-        names = [joint.name for joint in self._part.joints]
-        return mapping.to_message(incoming.payload, self.route.type, names=names)
+        joints, dialect = self._part.joints, self._part.dialect
+        if not self._extended:
+            names = [joint.name for joint in joints]
+            return mapping.to_message(
+                incoming.payload, self.route.type, names=names, dialect=dialect
+            )
+        data = JointData.decode(incoming.payload, dialect)
+        try:
+            return board.state_of(data, joints)
+        except ValueError as error:
+            raise DecodeError(
+                f"the state of {self.name} does not fit its joints: {error}"
+            ) from error
 
 
 class Part(Carried):
-    """A control board as a robot part: joint state, limits, moves, stop."""
+    """A control board as a robot part.
+
+    Commands take turns: each is checked, then told to the robot as a whole. A command takes the
+    place of an earlier one that is still being waited for.
+    """
 
     def __init__(self, kit: Kit, route: ControlBoard) -> None:
         super().__init__(kit, route.yarp)
         self.route = route
         self.joints: tuple[board.Joint, ...] = ()
+        self.dialect = Dialect.V3
+        self._words = words.words_of(self.dialect)
         self._link = RpcLink(kit.transport, f"{route.yarp}/rpc:i")
+        self._stream = Redialled(self._dial_stream)
         self._state: PartState | None = None
-        self._moves = 0
+        self._turn = asyncio.Lock()
+        self._commands = 0
+        self._runner = Runner(self.name, self._turn, self._say_velocity, self._stop_joints)
         self._lost = f"the robot part {route.yarp} has not been reached yet"
-        serve_at = kit.context.bus.serve
         self._served = [
-            serve_at(f"{route.key}/limits", self._limits),
-            serve_at(f"{route.key}/move", self._move),
-            serve_at(f"{route.key}/stop", self._stop),
+            kit.context.bus.serve(f"{route.key}/{name}", self._answering(call))
+            for name, call in {
+                "limits": self._limits,
+                "modes": self._modes,
+                "speeds": self._speeds,
+                "move": self._move,
+                "move_by": self._move_by,
+                "velocity": self._velocity,
+                "direct": self._direct,
+                "stop": self._stop,
+            }.items()
         ]
 
+    # --- its life ----------------------------------------------------------------------------
+
     async def work(self) -> None:
-        """Stay connected to the board."""
-        await self.persist(self._connect)
+        """Stay connected to the board, and take the commands that stream to `<key>/command`."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.persist(self._connect))
+            tasks.create_task(self._take_commands())
 
     async def _connect(self) -> str:
         try:
-            (count,) = board.numbers_of(await self._ask(board.AXES), 1)
-            joints = []
-            for index in range(round(count)):
-                answers = [await self._ask(request) for request in board.joint_requests(index)]
-                joints.append(board.joint_of(index, *answers))
-            self.joints = tuple(joints)
-            if self._state is None:
-                self._state = PartState(self.kit, self)
-                self._state.start()
-            log.info("%s has the joints %s", self.name, ", ".join(j.name for j in joints))
+            self.dialect = (await self._link.caller()).dialect
+            self._words = words.words_of(self.dialect)
+            self.joints = tuple([joint async for joint in self._read_joints()])
+            await self._stop_running()  # whatever it did when it was lost
+            await self._follow_state()
+            log.info("%s has the joints %s", self.name, ", ".join(j.name for j in self.joints))
             self.kit.context.report(self.name, "ok")
             presence = self.kit.context.bus.declare_presence(f"@vertebra/parts/{self.route.key}")
             try:
@@ -87,63 +128,245 @@ class Part(Carried):
             raise
         return self._lost
 
-    async def _ask(self, request: list[Value], timeout_s: float = CONNECT_TIMEOUT_S) -> list[Value]:
-        reply = await self._link.call(request, timeout_s=timeout_s)
-        return board.answer_of(reply, request)
+    async def _read_joints(self) -> Any:
+        (count,) = words.numbers_of(await self._ask(self._words.axes()), 1)
+        for index in range(round(count)):
+            yield board.joint_of(
+                index,
+                await self._ask(self._words.name(index)),
+                await self._ask(self._words.position_limits(index)),
+                await self._ask(self._words.velocity_limits(index)),
+            )
 
-    def _check_reached(self) -> None:
-        if not self.joints:
-            raise NotConnectedError(self._lost)
-
-    async def _positions(self) -> dict[str, float]:
-        values = await self._ask(board.ENCODERS)
-        return board.positions_of(self.joints, board.numbers_of(values, len(self.joints)))
-
-    async def _limits(self, _: Request) -> Reply:
-        await self._link.caller()
-        self._check_reached()
-        return _json_reply(board.describe(self.joints))
-
-    async def _move(self, request: Request) -> Reply:
-        self._check_reached()
-        move = board.read_move(request.payload, self.joints)
-        self._moves += 1
-        number = self._moves
-        began_s = time.monotonic()
-        modes = await self._ask(board.MODES)
-        for command in board.move_requests(move, self.joints, modes):
-            await self._ask(command)
-        reached = False
-        # A later move takes this one's place; what it reached then is where it is now.
-        while move.wait and not reached and number == self._moves:
-            (done,) = board.numbers_of(await self._ask(board.MOTION_DONE), 1)
-            reached = bool(done)
-            if not reached:
-                await asyncio.sleep(ARRIVED_POLL_S)
-        return _json_reply(
-            {
-                "reached": reached,
-                "positions_deg": await self._positions(),
-                "targets_deg": move.positions_deg,
-                "duration_s": round(time.monotonic() - began_s, 3),
-            }
-        )
-
-    async def _stop(self, _: Request) -> Reply:
-        self._check_reached()
-        self._moves += 1
-        await self._ask(board.STOP)
-        return _json_reply({"positions_deg": await self._positions()})
+    async def _follow_state(self) -> None:
+        if self._state is None:
+            registered = {contact.name for contact in await self.kit.transport.list_ports()}
+            extended = f"{self.name}/stateExt:o" in registered
+            self._state = PartState(self.kit, self, extended=extended)
+            self._state.start()
 
     async def close(self) -> None:
-        """End it."""
+        """End it; joints that run are stopped first."""
         for served in self._served:
             served.close()
+        with contextlib.suppress(TransportError):  # a board that is lost has no ears
+            await self._stop_running()
         await super().close()
         if self._state is not None:
             await self._state.close()
+        await self._stream.close()
         await self._link.close()
 
+    # --- what it is told ---------------------------------------------------------------------
 
-def _json_reply(document: object) -> Reply:
-    return Reply(payload=msgspec.json.encode(document), encoding=JSON)
+    def _answering(
+        self, call: Callable[[bytes], Awaitable[dict[str, Any]]]
+    ) -> Callable[[Request], Awaitable[Reply]]:
+        async def answer(request: Request) -> Reply:
+            if not self.joints:
+                raise NotConnectedError(self._lost)
+            try:
+                document = await call(request.payload)
+            except PortNotFoundError as error:  # to the caller it is all the same
+                raise NotConnectedError(str(error)) from error
+            return Reply(payload=msgspec.json.encode(document), encoding=JSON)
+
+        return answer
+
+    async def _limits(self, _: bytes) -> dict[str, Any]:
+        await self._link.caller()
+        return dict(board.describe(self.joints))
+
+    async def _modes(self, payload: bytes) -> dict[str, Any]:
+        command = board.read(payload, board.Modes)
+        if command.modes:
+            modes = board.check_modes(command, self.joints)
+            async with self._taking_over():
+                await self._ask(self._words.set_modes(self._indices(command.modes), modes))
+        told = [board.mode_name(word) for word in await self._read_modes()]
+        names = [joint.name for joint in self.joints]
+        return {"modes": dict(zip(names, told, strict=True))}
+
+    async def _speeds(self, payload: bytes) -> dict[str, Any]:
+        command = board.read(payload, board.Speeds)
+        if command.speeds_deg_s:
+            board.check_speeds(command, self.joints)
+            await self._set_speeds(command.speeds_deg_s)
+        speeds = await self._ask(self._words.speeds())
+        return {"speeds_deg_s": self._by_name(words.numbers_of(speeds, len(self.joints)))}
+
+    async def _move(self, payload: bytes) -> dict[str, Any]:
+        return await self._carry_out(board.check_move(board.read(payload, board.Move), self.joints))
+
+    async def _move_by(self, payload: bytes) -> dict[str, Any]:
+        relative = board.read(payload, board.MoveBy)
+        return await self._carry_out(board.absolute(relative, self.joints, await self._positions()))
+
+    async def _velocity(self, payload: bytes) -> dict[str, Any]:
+        command = board.check_velocity(board.read(payload, board.Velocity), self.joints)
+        await self._run(command)
+        return {
+            "velocities_deg_s": command.velocities_deg_s,
+            "stops_in_s": command.for_s,
+            "positions_deg": await self._positions(),
+        }
+
+    async def _direct(self, payload: bytes) -> dict[str, Any]:
+        command = board.read(payload, board.Direct)
+        await self._follow(command)
+        return {
+            "targets_deg": command.positions_deg,
+            "positions_deg": await self._positions(),
+        }
+
+    async def _stop(self, _: bytes) -> dict[str, Any]:
+        async with self._taking_over():
+            await self._ask(self._words.stop_all())
+        return {"positions_deg": await self._positions()}
+
+    async def _take_commands(self) -> None:
+        """Carry out what streams to `<key>/command`; what is refused is reported and counted."""
+        context = self.kit.context
+        subscription = context.bus.subscribe(f"{self.route.key}/command", Delivery.latest())
+        async for received in MessageReader(subscription, context.codecs, JointCommand):
+            try:
+                await self._take_command(received.message)
+            except (CommandRefusedError, CodecError, TransportError) as error:
+                self.kit.refused.inc()
+                context.report(f"{self.name} command", "warning", str(error))
+            else:
+                context.report(f"{self.name} command", "ok")
+
+    async def _take_command(self, message: JointCommand) -> None:
+        if not self.joints:
+            raise NotConnectedError(self._lost)
+        command = board.streamed(message)
+        if isinstance(command, board.Velocity):
+            await self._run(board.check_velocity(command, self.joints))
+        elif isinstance(command, board.Direct):
+            await self._follow(command)
+        else:
+            await self._carry_out(board.check_move(command, self.joints))
+
+    # --- what it tells the robot -------------------------------------------------------------
+
+    @contextlib.asynccontextmanager
+    async def _taking_over(self) -> Any:
+        """Take the turn: what was commanded before is not waited for and not repeated any more."""
+        async with self._turn:
+            self._commands += 1
+            await self._stop_running()
+            yield
+
+    async def _carry_out(self, move: board.Move) -> dict[str, Any]:
+        began_s = time.monotonic()
+        indices = self._indices(move.positions_deg)
+        async with self._taking_over():
+            number = self._commands
+            await self._need_mode("pos", indices)
+            if move.velocity_deg_s is not None:
+                await self._set_speeds(dict.fromkeys(move.positions_deg, move.velocity_deg_s))
+            targets = [*map(float, move.positions_deg.values())]
+            await self._ask(self._words.move(indices, targets))
+        reached = False
+        # A later command takes this one's place; what it reached then is where it is now.
+        while move.wait and not reached and number == self._commands:
+            (done,) = words.numbers_of(await self._ask(self._words.arrived(indices)), 1)
+            reached = bool(done)
+            if not reached:
+                await asyncio.sleep(ARRIVED_POLL_S)
+        return {
+            "reached": reached,
+            "positions_deg": await self._positions(),
+            "targets_deg": move.positions_deg,
+            "duration_s": round(time.monotonic() - began_s, 3),
+        }
+
+    async def _run(self, command: board.Velocity) -> None:
+        indices = self._indices(command.velocities_deg_s)
+        velocities = [*map(float, command.velocities_deg_s.values())]
+        async with self._turn:
+            self._commands += 1
+            if not set(indices) <= set(self._runner.joints):
+                await self._need_mode("vel", indices)
+            await self._runner.run(indices, velocities, command.for_s)
+
+    async def _follow(self, command: board.Direct) -> None:
+        board.check_direct(command, self.joints, await self._positions())
+        indices = self._indices(command.positions_deg)
+        async with self._taking_over():
+            await self._need_mode("posd", indices)
+            head = self._words.direct_head(indices)
+            await self._stream_command(head, [*command.positions_deg.values()])
+
+    async def _say_velocity(self, joints: Sequence[int], velocities: Sequence[float]) -> None:
+        await self._stream_command(self._words.velocity_head(joints), velocities)
+
+    async def _stop_running(self) -> None:
+        running = self._runner.joints
+        self._runner.forget()
+        if running:
+            await self._stop_joints(running)
+
+    async def _stop_joints(self, joints: Sequence[int]) -> None:
+        await self._ask(self._words.stop(joints))
+
+    async def _stream_command(self, head: words.Request, values: Sequence[float]) -> None:
+        sink = await self._stream.get()
+        sink.write(Pair(head, Vector.of(values)).encode(self.dialect))
+
+    async def _dial_stream(self) -> Any:
+        sender_name = f"{self.kit.context.settings.prefix}/commander{self.name}"
+        return await self.kit.transport.send_to(f"{self.name}/command:i", sender_name)
+
+    async def _need_mode(self, mode: str, indices: Sequence[int]) -> None:
+        """Set a control mode where it is another one; a moving joint would stop if set again."""
+        modes = await self._read_modes()
+        others = [index for index in indices if modes[index] != mode]
+        if others:
+            await self._ask(self._words.set_modes(others, [mode] * len(others)))
+
+    async def _set_speeds(self, speeds: dict[str, float]) -> None:
+        for request in self._words.set_speeds(self._indices(speeds), [*speeds.values()]):
+            await self._ask(request)
+
+    # --- what it asks the robot --------------------------------------------------------------
+
+    async def _ask(self, request: words.Request) -> list[Any]:
+        reply = await self._link.call(request, timeout_s=ANSWER_S)
+        return self._words.answer(reply, request)
+
+    async def _positions(self) -> dict[str, float]:
+        values = await self._ask(self._words.positions())
+        return self._by_name(words.numbers_of(values, len(self.joints)))
+
+    async def _read_modes(self) -> list[str]:
+        request = self._words.modes()
+        if request is not None:
+            return [*map(str, await self._ask(request))]
+        return [str(word) for word in (await self._read_state()).control_mode.words]
+
+    async def _read_state(self) -> JointData:
+        """Return the next state that streams on `stateExt:o`."""
+        source = f"{self.name}/stateExt:o"
+        state: asyncio.Future[JointData] = asyncio.get_running_loop().create_future()
+
+        def arrived(incoming: Incoming) -> None:
+            if not state.done():
+                state.set_result(JointData.decode(incoming.payload, self.dialect))
+
+        reader_name = f"{self.kit.context.settings.prefix}/glance{self.name}"
+        link = await self.kit.transport.read(source, reader_name, arrived)
+        try:
+            async with asyncio.timeout(ANSWER_S):
+                return await state
+        except TimeoutError:
+            raise DeadlineError(f"YARP port {source}", ANSWER_S) from None
+        finally:
+            await link.close()
+
+    def _indices(self, names: Iterable[str]) -> list[int]:
+        return board.indices_of(names, self.joints)
+
+    def _by_name(self, values: Sequence[float]) -> dict[str, float]:
+        return board.by_name(self.joints, values)

@@ -31,6 +31,7 @@ from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
 from vertebra.yarp.names import Contact, NameClient, find_name_server
 from vertebra.yarp.nameserver import NameServer
 from vertebra.yarp.port import Port
+from vertebra.yarp.sender import Sender
 from vertebra.yarp.text import from_text, is_complete, to_text
 from vertebra.yarp.wire import PeerLimits
 
@@ -57,6 +58,7 @@ __all__ = [
     "Reader",
     "Reply",
     "RpcClient",
+    "Sender",
     "Value",
     "Vocab",
     "Vocab64",

@@ -156,6 +156,11 @@ class RpcClient(Link):
         connection.release()
         return client
 
+    @property
+    def dialect(self) -> Dialect:
+        """How the numbers of this connection are tagged."""
+        return self._dialect
+
     async def call(self, values: Sequence[Value], *, timeout_s: float) -> list[Value]:
         """Send one bottle and return the reply; calls are answered in their order.
 
