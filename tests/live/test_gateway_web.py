@@ -220,6 +220,7 @@ async def test_each_form_of_data(rig: Rig) -> None:
         assert json.loads(first[2].payload)["message"]["names"][0] == "neck_pitch"
         assert first[3].head["encoding"] == "image/jpeg"
         assert first[3].payload.startswith(b"\xff\xd8")
+        assert 0 < int(first[3].head["captured_ns"]) <= int(first[3].head["sent_ns"])
         assert len(first[4].payload) > 320 * 240 * 3
         assert first[4].head["key"] == "vizzy/camera/left"
         await client.send("unsubscribe", id=4)

@@ -224,9 +224,11 @@ def test_what_the_gateway_says() -> None:
 
 
 def test_golden_data_message() -> None:
-    head = shared_head("a/ü", 'x;"1"', 123)
+    head = shared_head("a/ü", 'x;"1"', 123, 99)
     message = data_message(0x01020304, head, 5, b"payload")
-    expected_head = '{"key":"a/ü","encoding":"x;\\"1\\"","sent_ns":"123","dropped":5}'.encode()
+    expected_head = (
+        '{"key":"a/ü","encoding":"x;\\"1\\"","sent_ns":"123","captured_ns":"99","dropped":5}'
+    ).encode()
     assert message == (
         b"\x04\x03\x02\x01"  # subscription
         + len(expected_head).to_bytes(4, "little")
@@ -238,15 +240,15 @@ def test_golden_data_message() -> None:
 
 @given(
     st.integers(1, 2**32 - 1),
-    st.tuples(st.text(), st.text(), st.integers(0, 2**63 - 1)),
+    st.tuples(st.text(), st.text(), st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1)),
     st.integers(0, 2**53),
     st.binary(max_size=200),
 )
 def test_data_messages_can_be_read_back(
-    subscription: int, sample: tuple[str, str, int], dropped: int, payload: bytes
+    subscription: int, sample: tuple[str, str, int, int], dropped: int, payload: bytes
 ) -> None:
-    key, encoding, sent_ns = sample
-    head = shared_head(key, encoding, sent_ns)
+    key, encoding, sent_ns, captured_ns = sample
+    head = shared_head(key, encoding, sent_ns, captured_ns)
     message = data_message(subscription, head, dropped, payload)
     length = int.from_bytes(message[4:8], "little")
     start = (8 + length + 63) // 64 * 64
@@ -255,6 +257,7 @@ def test_data_messages_can_be_read_back(
         "key": key,
         "encoding": encoding,
         "sent_ns": str(sent_ns),
+        "captured_ns": str(captured_ns),
         "dropped": dropped,
     }
     assert message[8 + length : start] == bytes(start - 8 - length)

@@ -35,7 +35,11 @@ MAX_WAITING_BYTES: Final = 64 << 20
 
 
 class Item:
-    """One encoded sample, shared by all who look at it."""
+    """One encoded sample, shared by all who look at it.
+
+    Attributes:
+        captured_ns: When it was true, 0 as long as nobody has decoded it.
+    """
 
     __slots__ = ("arrived_s", "captured_ns", "encoding", "head", "key", "payload", "sent_ns")
 
@@ -47,7 +51,7 @@ class Item:
         self.payload = payload
         self.sent_ns = sent_ns
         self.arrived_s = arrived_s
-        self.captured_ns = sent_ns
+        self.captured_ns = 0
         self.head = b""
 
     def encoded(self, encoding: str, payload: bytes, captured_ns: int) -> Item:
@@ -59,7 +63,7 @@ class Item:
     @property
     def age_s(self) -> float:
         """How long ago it was true, or sent if that is all that is known."""
-        return (time.time_ns() - self.captured_ns) / 1e9
+        return (time.time_ns() - (self.captured_ns or self.sent_ns)) / 1e9
 
 
 class Outlet:

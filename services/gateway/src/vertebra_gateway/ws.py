@@ -223,7 +223,9 @@ class Client:
             if item is None:
                 return
             if not item.head:
-                item.head = ws_protocol.shared_head(item.key, item.encoding, item.sent_ns)
+                item.head = ws_protocol.shared_head(
+                    item.key, item.encoding, item.sent_ns, item.captured_ns
+                )
             message = ws_protocol.data_message(
                 subscription.order.id, item.head, outlet.dropped, item.payload
             )

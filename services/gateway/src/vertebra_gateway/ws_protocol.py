@@ -201,12 +201,13 @@ def robots(described: list[dict[str, Any]]) -> str:
     return _encode({"op": "robots", "robots": described})
 
 
-def shared_head(key: str, encoding: str, sent_ns: int) -> bytes:
+def shared_head(key: str, encoding: str, sent_ns: int, captured_ns: int) -> bytes:
     """Return the part of a head that is the same for all viewers of a sample."""
-    return b'{"key":%b,"encoding":%b,"sent_ns":"%d","dropped":' % (
+    return b'{"key":%b,"encoding":%b,"sent_ns":"%d","captured_ns":"%d","dropped":' % (
         msgspec.json.encode(key),
         msgspec.json.encode(encoding),
         sent_ns,
+        captured_ns,
     )
 
 
