@@ -23,7 +23,7 @@ from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import Incoming, Reply
 from vertebra.yarp.link import Connection
 from vertebra.yarp.names import Contact
-from vertebra.yarp.nameserver import NameTable, _OwnTable
+from vertebra.yarp.nametable import NameTable, TableClient
 from vertebra.yarp.receiver import Event, Greeting, Message, Receiver
 from vertebra.yarp.switchboard import Switchboard
 from vertebra.yarp.text import from_text
@@ -64,11 +64,6 @@ LEFT_OUT = {
 }
 
 EXCHANGES_LEFT_OUT = {
-    "ns_lines": {
-        b"list format json": "belongs to carrier http",
-        b"subscribe": "persistent connections are not kept by our name server",
-        b"topic": "persistent connections are not kept by our name server",
-    },
     "admin_rpc": {
         b"help": "we list only the commands that we have",
         encode([Vocab("prop"), Vocab("get"), "/c/b"]): "tells about the process",
@@ -217,7 +212,7 @@ class Scene:
         is_rpc = "rpc" in contact.name or contact.name == "/c/srv"
         return Switchboard(
             contact,
-            _OwnTable(self.table),
+            TableClient(self.table),
             on_data=lambda _: None,
             on_call=on_call or (self._answer_call if is_rpc else None),
             delivery="queue",

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
 
 import pytest
 
 from vertebra.errors import ConfigError, DeadlineError, NameMappingError, NotConnectedError
-from vertebra.yarp import Contact, NameClient, NameServer, Port, RpcClient
+from vertebra.testing.bus_suite import eventually
+from vertebra.testing.ports import free_tcp_port
+from vertebra.yarp import (
+    Contact,
+    Incoming,
+    NameClient,
+    NameServer,
+    Port,
+    RpcClient,
+    encode,
+    find_name_server,
+)
+from vertebra.yarp.discovery import Responder, discover
 from vertebra.yarp.wire import ACK, TCP, greeting, yarp_number
 
 TIMEOUT_S = 5.0
@@ -207,3 +221,159 @@ async def test_a_server_that_is_none(answer: bytes, complaint: str) -> None:
 async def test_an_address_in_use(server: NameServer) -> None:
     with pytest.raises(ConfigError, match=f"{server.contact.tcp_port}.*choose another"):
         await NameServer.start(tcp_port=server.contact.tcp_port)
+
+
+# --- persistent connections ---
+
+
+async def test_the_server_connects_ports_whenever_both_are_there(names: NameClient) -> None:
+    arrived: asyncio.Queue[Incoming] = asyncio.Queue()
+
+    async def open_reader() -> Port:
+        return await Port.open("/b", names, on_data=arrived.put_nowait)
+
+    async with (
+        await RpcClient.connect("/root", names) as server,
+        await Port.open("/a", names) as writer,
+    ):
+        await server.call(["subscribe", "/a", "fast_tcp://b"], timeout_s=TIMEOUT_S)
+        assert writer.outputs == []
+        reader = await open_reader()
+        await eventually(lambda: [link.carrier for link in writer.outputs] == ["fast_tcp"])
+        # As after a power cut: no farewell, and no word to the name server.
+        reader._board.names = NameClient("127.0.0.1", 1)
+        await reader.close()
+        reader = await open_reader()
+        await eventually(lambda: len(writer.outputs) == 1)
+        writer.write(encode(["again"]))
+        assert (await asyncio.wait_for(arrived.get(), TIMEOUT_S)).bottle() == ["again"]
+        await reader.close()
+
+
+async def test_a_connection_to_a_port_that_died_unnoticed_is_replaced(names: NameClient) -> None:
+    async with (
+        await RpcClient.connect("/root", names) as server,
+        await Port.open("/a", names) as writer,
+        await Port.open("/b", names),
+    ):
+        await server.call(["subscribe", "/a", "/b"], timeout_s=TIMEOUT_S)
+        await eventually(lambda: len(writer.outputs) == 1)
+        stale = writer.outputs[0]
+        await names.announce("/b")
+        await eventually(lambda: stale.closed and len(writer.outputs) == 1)
+
+
+async def test_a_port_that_cannot_be_reached_keeps_nobody_waiting(
+    names: NameClient, server: NameServer
+) -> None:
+    for name in ("/a", "/b"):
+        await names.register(name, host="127.0.0.1", tcp_port=1)
+        await names.announce(name)
+    async with await RpcClient.connect("/root", names) as client:
+        await client.call(["subscribe", "/a", "/b"], timeout_s=TIMEOUT_S)
+        assert await client.call(["bot", "query", "/a"], timeout_s=TIMEOUT_S)
+    assert [*server._matchmaker._tasks] == [("/a", "/b")]  # and closing the server ends it
+
+
+# --- discovery ---
+
+LOOPBACK = ["127.0.0.1"]
+
+
+@pytest.fixture
+def udp_port() -> int:
+    return free_tcp_port()  # the same range; another program there would not disturb
+
+
+async def test_a_name_server_is_found_by_multicast(udp_port: int) -> None:
+    async with await NameServer.start(tcp_port=0, discovery_udp_port=udp_port) as server:
+        found = await discover("/root", udp_port, interfaces=LOOPBACK, timeout_s=TIMEOUT_S)
+        assert found == server.contact
+        fallback = await server.client().query("fallback")
+        assert fallback == Contact("fallback", "mcast", "224.2.1.1", udp_port)
+        assert await discover("/other", udp_port, interfaces=LOOPBACK, timeout_s=0.1) is None
+
+
+async def test_discovery_speaks_as_yarp_does(udp_port: int) -> None:
+    # The datagrams of the capture mcast_discovery.
+    question = bytes.fromhex("2d7c9fe0000000004e414d455f534552564552207175657279202f726f6f740a")
+    answer = bytes.fromhex(
+        "5e8ebb3100000000726567697374726174696f6e206e616d65202f726f6f74206970203132372e302e302e31"
+        "20706f72742031303030302074797065207463700a"
+    )
+    heard: asyncio.Queue[bytes] = asyncio.Queue()
+
+    class Ear(asyncio.DatagramProtocol):
+        def datagram_received(self, data: bytes, addr: object) -> None:
+            heard.put_nowait(data)
+
+    with multicast_socket(udp_port) as sock:
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(Ear, sock=sock)
+        line = "registration name /root ip 127.0.0.1 port 10000 type tcp"
+        responder = Responder("/root", line, LOOPBACK)
+        assert await responder.start(udp_port)
+        for rubbish in (b"", b"12345678", question[:-1], b"\0" + question[1:], b"x" * 9000):
+            transport.sendto(rubbish, ("224.2.1.1", udp_port))
+        transport.sendto(question, ("224.2.1.1", udp_port))
+        received = []
+        async with asyncio.timeout(TIMEOUT_S):
+            while answer not in received:
+                received.append(await heard.get())
+        assert received.count(answer) == 1
+        task = asyncio.create_task(
+            discover("/root", udp_port, interfaces=LOOPBACK, timeout_s=TIMEOUT_S)
+        )
+        async with asyncio.timeout(TIMEOUT_S):
+            while await heard.get() != question:
+                pass
+        assert await task == Contact("/root", "tcp", "127.0.0.1", 10000)
+        responder.close()
+        transport.close()
+
+
+@contextmanager
+def multicast_socket(udp_port: int) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(("224.2.1.1", udp_port))
+        here = socket.inet_aton("127.0.0.1")
+        member = socket.inet_aton("224.2.1.1") + here
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
+        yield sock
+
+
+async def test_a_machine_without_multicast_is_told_once(
+    udp_port: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    responder = Responder("/root", "", ["192.0.2.1"])
+    assert not await responder.start(udp_port)
+    responder.close()
+    assert caplog.text.count("nobody finds this name server by multicast") == 1
+    assert await discover("/root", udp_port, interfaces=["192.0.2.1"]) is None
+
+
+async def test_the_name_server_is_found_as_yarp_finds_it(tmp_path: Path) -> None:
+    env = {"YARP_CONFIG_HOME": str(tmp_path)}
+    async with (
+        await NameServer.start(tcp_port=0) as first,
+        await NameServer.start(tcp_port=0, namespace="/lab") as second,
+    ):
+        here = {**env, "YARP_PORT_RANGE": str(first.contact.tcp_port)}
+        found = await find_name_server(here)
+        assert found.tcp_port == first.contact.tcp_port
+        (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {first.contact.tcp_port} yarp\n")
+        (tmp_path / "_lab.conf").write_text(f"127.0.0.1 {second.contact.tcp_port} yarp\n")
+        both = await find_name_server({**env, "YARP_NAMESPACE": "/root /lab"})
+        await second.client().register("/only/there")
+        assert await both.query("/only/there") is not None
+        await both.register("/new")
+        assert await first.client().query("/new") is not None
+        assert await second.client().query("/new") is None
+        assert await second.client().query("/lab") == second.contact
+
+
+async def test_without_any_name_server_it_is_the_usual_place(tmp_path: Path, udp_port: int) -> None:
+    env = {"YARP_CONFIG_HOME": str(tmp_path), "YARP_PORT_RANGE": str(udp_port)}
+    found = await find_name_server(env, timeout_s=0.1)
+    assert (found.host, found.tcp_port) == ("127.0.0.1", udp_port)

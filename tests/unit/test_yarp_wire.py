@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vertebra.errors import ConfigError, DecodeError, EncodeError, NameMappingError
+from vertebra.errors import DecodeError, EncodeError, NameMappingError
 from vertebra.yarp.bottle import Value, Vocab, encode
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.names import check_name, find_name_server
-from vertebra.yarp.nameserver import NameTable
+from vertebra.yarp.names import check_name
 from vertebra.yarp.receiver import CallReply, Event, Greeting, Message, Number, Receiver
 from vertebra.yarp.wire import (
     ACK,
@@ -399,118 +397,3 @@ def test_names_that_cannot_be_those_of_ports(name: str, position: int) -> None:
     with pytest.raises(NameMappingError) as caught:
         check_name(name)
     assert caught.value.position == position
-
-
-@pytest.mark.parametrize(
-    ("folder", "env"),
-    [
-        ("", {"YARP_CONFIG_HOME": "{home}"}),
-        ("yarp", {"XDG_CONFIG_HOME": "{home}"}),
-        (".config/yarp", {"HOME": "{home}"}),
-    ],
-)
-def test_yarp_conf_is_where_yarp_looks_for_it(
-    tmp_path: Path, folder: str, env: Mapping[str, str]
-) -> None:
-    (tmp_path / folder).mkdir(parents=True, exist_ok=True)
-    (tmp_path / folder / "yarp.conf").write_text("10.0.0.7 10101 yarp\n")
-    found = find_name_server({key: value.format(home=tmp_path) for key, value in env.items()})
-    assert found == ("10.0.0.7", 10101)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "10.0.0.7 10101",
-        '"10.0.0.7"\n10101\nyarp\n',
-        "[/root]\nhost = 10.0.0.7\nport = 10101\nmode = yarp\n",
-    ],
-)
-def test_forms_of_yarp_conf(tmp_path: Path, text: str) -> None:
-    (tmp_path / "yarp.conf").write_text(text)
-    assert find_name_server({"YARP_CONFIG_HOME": str(tmp_path)}) == ("10.0.0.7", 10101)
-
-
-def test_a_namespace_has_a_file_of_its_own(tmp_path: Path) -> None:
-    env = {"YARP_CONFIG_HOME": str(tmp_path)}
-    (tmp_path / "yarp.conf").write_text("10.0.0.7 10101\n")
-    (tmp_path / "_lab_two.conf").write_text("10.0.0.8 10102\n")
-    assert find_name_server(env | {"YARP_NAMESPACE": "/lab/two /other"}) == ("10.0.0.8", 10102)
-    (tmp_path / "yarp_namespace.conf").write_text("/lab/two\n")
-    assert find_name_server(env) == ("10.0.0.8", 10102)
-
-
-def test_without_a_file_it_is_the_default_of_the_server(tmp_path: Path) -> None:
-    assert find_name_server({"YARP_CONFIG_HOME": str(tmp_path)}) == ("127.0.0.1", 10000)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["10.0.0.7", "10.0.0.7 many", "10.0.0.7 0", "h 70000", "h 11311 ros", "[x]\nport=1\n", "[x\n"],
-)
-def test_a_yarp_conf_that_cannot_work(tmp_path: Path, text: str) -> None:
-    (tmp_path / "yarp.conf").write_text(text)
-    with pytest.raises(ConfigError, match=r"yarp\.conf"):
-        find_name_server({"YARP_CONFIG_HOME": str(tmp_path)})
-
-
-# --- the name table; its replies in YARP's words are in conformance/test_yarp_sessions.py ---
-
-
-def ask(table: NameTable, *words: Value) -> str:
-    reply = table.answer(words, "10.0.0.9")
-    assert isinstance(reply, bytes)
-    return reply.decode().removesuffix("*** end of message\r\n").strip()
-
-
-def test_a_port_gets_its_former_tcp_port_back_and_no_other_gets_it_meanwhile() -> None:
-    table = NameTable()
-    first = ask(table, "register", "/a")
-    ask(table, "unregister", "/a")
-    assert "port 10003" in ask(table, "register", "/b")
-    assert ask(table, "register", "/a") == first
-    assert "port 10002" in first
-
-
-def test_tcp_ports_run_out_and_are_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vertebra.yarp.nameserver._MAX_PORTS", 3)
-    table = NameTable()
-    for name in ("/a", "/b", "/c"):
-        assert ask(table, "register", name)
-    assert ask(table, "register", "/d") == ""
-    ask(table, "unregister", "/b")
-    assert ask(table, "register", "/d").endswith("port 10003 type tcp")
-    assert ask(table, "register", "/a", "tcp", "h", 17).endswith("port 17 type tcp")
-
-
-@pytest.mark.parametrize("tcp_port", [0, -1, 65536, "many", 2.5])
-def test_a_tcp_port_that_cannot_be_is_not_registered(tcp_port: Value) -> None:
-    table = NameTable()
-    assert ask(table, "register", "/a", "tcp", "127.0.0.1", tcp_port) == ""
-    assert ask(table, "query", "/a") == ""
-
-
-def test_a_prefix_matches_whole_parts_of_names() -> None:
-    table = NameTable()
-    for name in ("/py", "/py/a", "/pyx"):
-        ask(table, "register", name)
-    assert ask(table, "list", "/py").count("registration") == 2
-    assert ask(table, "list").count("registration") == 3
-
-
-def test_properties_are_bounded_and_need_a_port() -> None:
-    table = NameTable()
-    assert ask(table, "set", "/a", "k", "v") == ""
-    ask(table, "register", "/a")
-    for number in range(200):
-        ask(table, "set", "/a", f"k{number}", number)
-    assert ask(table, "get", "/a", "k99") == "port /a property k99 = 99"
-    assert ask(table, "get", "/a", "k100") == "port /a property k100 ="
-
-
-def test_runners_are_the_ports_with_that_property() -> None:
-    table = NameTable()
-    ask(table, "register", "/run")
-    ask(table, "register", "/a")
-    ask(table, "set", "/run", "yarprun", "true")
-    assert ask(table, "runners").startswith("registration name /run ")

@@ -26,9 +26,10 @@ from vertebra.yarp.bottle import (
 )
 from vertebra.yarp.client import Reader, RpcClient
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.discovery import find_name_server
 from vertebra.yarp.incoming import Incoming, OnCall, OnData, Reply
 from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
-from vertebra.yarp.names import Contact, NameClient, find_name_server
+from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.nameserver import NameServer
 from vertebra.yarp.port import Port
 from vertebra.yarp.sender import Sender

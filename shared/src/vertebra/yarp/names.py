@@ -1,18 +1,15 @@
-"""YARP port names and the name server: finding it and talking to it."""
+"""YARP port names, and asking a name server about them."""
 
 from __future__ import annotations
 
 import asyncio
-import configparser
 import contextlib
 import re
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from vertebra.errors import (
-    ConfigError,
     DeadlineError,
     NameMappingError,
     NotConnectedError,
@@ -22,7 +19,6 @@ from vertebra.yarp.bottle import Value
 from vertebra.yarp.text import from_text, to_text
 from vertebra.yarp.wire import TEXT_ACK, TEXT_ACK_LINE, greeting, text_line
 
-DEFAULT_TCP_PORT: Final = 10000
 END_OF_MESSAGE: Final = "*** end of message"
 CHOOSE_FOR_ME: Final = "..."
 
@@ -56,70 +52,6 @@ def check_name(name: str) -> str:
     return name
 
 
-# --- yarp.conf -------------------------------------------------------------------------------
-
-
-def find_name_server(env: Mapping[str, str]) -> tuple[str, int]:
-    """Return host and TCP port of the name server, found in `yarp.conf` as YARP finds it.
-
-    Without a file it is 127.0.0.1:10000, the server's own default.
-
-    Raises:
-        ConfigError: The file cannot be read as `HOST PORT [yarp]` or an ini section.
-    """
-    folder = _config_folder(env)
-    namespace = (
-        env.get("YARP_NAMESPACE", "").split() or _read(folder / "yarp_namespace.conf").split()
-    )
-    path = folder / _config_file(namespace[0] if namespace else "/root")
-    text = _read(path)
-    if not text.strip():
-        return "127.0.0.1", DEFAULT_TCP_PORT
-    try:
-        return _parse_config(text)
-    except (ValueError, KeyError, configparser.Error) as error:
-        raise ConfigError(
-            f"{path} does not say `HOST PORT yarp`, such as `127.0.0.1 10000 yarp`: {error}"
-        ) from error
-
-
-def _config_folder(env: Mapping[str, str]) -> Path:
-    if env.get("YARP_CONFIG_HOME"):
-        return Path(env["YARP_CONFIG_HOME"])
-    if env.get("XDG_CONFIG_HOME"):
-        return Path(env["XDG_CONFIG_HOME"]) / "yarp"
-    return Path(env.get("HOME", "/")) / ".config" / "yarp"
-
-
-def _config_file(namespace: str) -> str:
-    return "yarp.conf" if namespace == "/root" else re.sub("[^0-9A-Za-z]", "_", namespace) + ".conf"
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text("utf-8")
-    except FileNotFoundError:
-        return ""
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read {path}: {error}") from error
-
-
-def _parse_config(text: str) -> tuple[str, int]:
-    if text.lstrip().startswith("["):
-        sections = configparser.ConfigParser(interpolation=None)
-        sections.read_string(text)
-        section = sections[sections.sections()[0]]
-        words = [section["host"], section["port"], section.get("mode", "yarp")]
-    else:
-        words = text.replace('"', " ").split()
-    host, tcp_port, mode = [*words, "yarp"][:3]
-    if mode != "yarp":
-        raise ValueError(f"mode {mode!r} is not a YARP name server")
-    if not 0 < int(tcp_port) < 65536:
-        raise ValueError(f"{tcp_port} is not a TCP port")
-    return host, int(tcp_port)
-
-
 # --- requests --------------------------------------------------------------------------------
 
 
@@ -128,17 +60,28 @@ class NameClient:
 
     Every method raises NotConnectedError (nobody listens there, or no name server) or
     DeadlineError (no answer in time).
+
+    Attributes:
+        others: Name servers of further namespaces, asked in turn for names that this one does
+            not know; new names go to this one.
     """
 
     def __init__(self, host: str, tcp_port: int, *, timeout_s: float = 5.0) -> None:
         self.host = host
         self.tcp_port = tcp_port
         self.timeout_s = timeout_s
+        self.others: Sequence[NameClient] = ()
 
     async def query(self, name: str) -> Contact | None:
         """Return where `name` listens, or None when it is not registered."""
         found = self._contacts(await self._ask("query", name))
-        return found[0] if found else None
+        if found:
+            return found[0]
+        for other in self.others:
+            contact = await other.query(name)
+            if contact is not None:
+                return contact
+        return None
 
     async def register(
         self,
@@ -216,13 +159,21 @@ class NameClient:
         return [self._contact(line) for line in lines]
 
     def _contact(self, line: str) -> Contact:
-        # registration name NAME ip HOST port TCP_PORT type CARRIER
-        words = line.split()
-        if len(words) != 9 or words[0] != "registration" or not words[6].isdecimal():
+        contact = parse_registration(line)
+        if contact is None:
             raise NotConnectedError(
                 f"{self._server} answered {line!r:.200} instead of a registration"
             )
-        return Contact(words[2], words[8], words[4], int(words[6]))
+        return contact
+
+
+def parse_registration(line: str) -> Contact | None:
+    """Return what a line of a name server says, or None if it does not speak of a port."""
+    # registration name NAME ip HOST port TCP_PORT type CARRIER
+    words = line.split()
+    if len(words) != 9 or words[0] != "registration" or not words[6].isdecimal():
+        return None
+    return Contact(words[2], words[8], words[4], int(words[6]))
 
 
 def _typed(word: Value) -> str:
