@@ -244,8 +244,8 @@ async def test_whom_a_port_cannot_write_to(names: NameClient) -> None:
         await names.register("/dead", host="127.0.0.1", tcp_port=1)
         with pytest.raises(NotConnectedError, match=r"/dead at 127.0.0.1:1"):
             await writer.connect("/dead")
-        with pytest.raises(EncodeError, match="'udp'"):
-            await writer.connect("/dead", "udp")
+        with pytest.raises(EncodeError, match="'shmem'"):
+            await writer.connect("/dead", "shmem")
         assert writer.outputs == []
 
 
@@ -420,8 +420,8 @@ async def test_requests_that_a_port_cannot_fulfil(names: NameClient) -> None:
         await tool.say(b"CONNACK admin\r\n", b"Welcome admin\r\n")
         for request, answer in (
             (
-                b'[add] "udp://in"',
-                b"-1 \"Cannot connect to udp://in: cannot send over carrier 'udp'",
+                b'[add] "shmem://in"',
+                b"-1 \"Cannot connect to shmem://in: cannot send over carrier 'shmem'",
             ),
             (b'[add] "/dead"', b'-1 "Cannot connect to tcp://dead: cannot reach YARP port /dead'),
             (b'[get] [in] "/nope"', b'-1 "Could not find a connection to or from /nope'),
@@ -713,7 +713,7 @@ async def test_a_client_that_does_not_take_its_replies_is_not_served_further(
         raw_peer(port, greeting(TCP, "anon")) as greedy,
     ):
         greedy.writer.write(message(encode([1]), "d") * 100)
-        connection = port._board.inputs[1].connection
+        connection = port._board.inputs[1].tcp
         await eventually(lambda: not connection.writable)
         assert await other.call([2], timeout_s=TIMEOUT_S) == reply
         assert calls < 50  # what the kernel took, and one reply
@@ -727,7 +727,7 @@ async def test_a_client_that_does_not_take_its_acks_is_not_read_further(names: N
         await Port.open("/in", names, on_data=inbox) as port,
         raw_peer(port, greeting(TCP, "anon")) as careless,
     ):
-        connection = port._board.inputs[0].connection
+        connection = port._board.inputs[0].tcp
         assert connection._transport is not None
         sock = connection._transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)

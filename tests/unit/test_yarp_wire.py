@@ -95,8 +95,6 @@ def test_the_first_eight_bytes_choose_the_carrier(header: str, carrier: Carrier)
 @pytest.mark.parametrize(
     ("header", "named"),
     [
-        (bytes.fromhex("5941611e00005250"), "udp"),
-        (bytes.fromhex("5941621e00005250"), "mcast"),
         (bytes.fromhex("59416f1e00005250"), "shmem"),
         (b"GET /?ac", "mjpeg"),
         (b"GET /?ws", "websocket"),
@@ -114,7 +112,7 @@ def test_other_carriers_are_refused_by_name(header: bytes, named: str) -> None:
 
 def test_carriers_with_modifiers() -> None:
     assert parse_carrier("tcp+foo.bar+x") == (TCP, ["foo.bar", "x"])
-    for text in ("udp", "nosuch", "", "tcp+recv.bayer", "tcp+log.in"):
+    for text in ("shmem", "nosuch", "", "tcp+recv.bayer", "tcp+log.in"):
         with pytest.raises(EncodeError):
             parse_carrier(text)
 

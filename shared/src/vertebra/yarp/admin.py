@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from vertebra.errors import EncodeError, TransportError
 from vertebra.yarp.bottle import Dict, Value, Vocab
 from vertebra.yarp.link import Link, PortNotFoundError
+from vertebra.yarp.wire import CARRIERS
 
 if TYPE_CHECKING:
     from vertebra.yarp.switchboard import Switchboard
@@ -191,7 +192,13 @@ def _details(board: Switchboard, direction: str, peer: str) -> list[Value]:
     if link is None:
         return []
     ends = (peer, board.name) if direction == "in" else (board.name, peer)
-    return [["from", ends[0]], ["to", ends[1]], ["carrier", link.carrier]]
+    details: list[Value] = [["from", ends[0]], ["to", ends[1]], ["carrier", link.carrier]]
+    carrier = CARRIERS[link.carrier.partition("+")[0]]
+    if carrier.is_connectionless:
+        details.append(["connectionless", 1])
+    if not carrier.is_push:
+        details.append(["push", 0])
+    return details
 
 
 def _property(board: Switchboard, key: str = "") -> list[Value]:

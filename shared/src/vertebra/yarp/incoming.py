@@ -9,7 +9,7 @@ from typing import TypeAlias
 from vertebra.errors import CodecError
 from vertebra.yarp.bottle import Value, decode, encode
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.link import Connection, Link, is_power_of_two
+from vertebra.yarp.link import Channel, Link, is_power_of_two
 from vertebra.yarp.receiver import Message
 from vertebra.yarp.text import from_text, to_text
 from vertebra.yarp.wire import ACK, TEXT_ACK_LINE, Carrier, text_line
@@ -80,7 +80,7 @@ OnCall: TypeAlias = Callable[[Incoming], Awaitable[Reply]]
 class ReadingLink(Link):
     """A connection from which we read, and the manners that this takes."""
 
-    def __init__(self, connection: Connection, peer: str, carrier: str, dialect: Dialect) -> None:
+    def __init__(self, connection: Channel, peer: str, carrier: str, dialect: Dialect) -> None:
         super().__init__(connection, peer, carrier)
         self._dialect = dialect
 

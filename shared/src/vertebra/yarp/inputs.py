@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+import socket
+from collections.abc import Awaitable, Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from vertebra.errors import CodecError, DecodeError, EncodeError, VertebraError
 from vertebra.yarp.admin import administer, fail, obey
+from vertebra.yarp.datagrams import (
+    DatagramReader,
+    group_receiving_socket,
+    receiving_socket,
+)
 from vertebra.yarp.incoming import (
     Incoming,
     OnCall,
@@ -19,8 +26,8 @@ from vertebra.yarp.incoming import (
     reply_bytes,
 )
 from vertebra.yarp.link import Connection
-from vertebra.yarp.receiver import Event, Greeting, Message, Receiver
-from vertebra.yarp.wire import NAME_SER, Carrier, text_line, welcome
+from vertebra.yarp.receiver import Event, Greeting, Lost, Message, Receiver
+from vertebra.yarp.wire import MCAST, NAME_SER, UDP, Carrier, text_line, welcome
 
 if TYPE_CHECKING:
     from vertebra.yarp.switchboard import Switchboard
@@ -29,21 +36,19 @@ log = logging.getLogger(__name__)
 
 
 class Input(ReadingLink):
-    """A connection that was made to a port, from before its greeting on."""
+    """A connection that was made to a port, from before its greeting on.
+
+    Attributes:
+        tcp: How it was made; an output takes it over when the peer asks to read.
+    """
 
     def __init__(self, board: Switchboard) -> None:
         self._board = board
         self._greeted: Greeting | None = None
-        loop = asyncio.get_running_loop()
-        self._silence = loop.call_later(board.limits.greeting_timeout_s, self._end_silence)
-        connection = Connection(Receiver(board.limits), self._on_event, self._on_lost)
-        connection.replies = True
-        super().__init__(connection, "", "", board.dialect)
-
-    @property
-    def connection(self) -> Connection:
-        """The socket, which an output takes over when the peer asks to read."""
-        return self._connection
+        self._silence = self._later(board.limits.greeting_timeout_s, self._end_silence)
+        self.tcp = Connection(Receiver(board.limits), self._on_event, self._on_lost)
+        self.tcp.replies = True
+        super().__init__(self.tcp, "", "", board.dialect)
 
     @property
     def is_silent(self) -> bool:
@@ -53,6 +58,9 @@ class Input(ReadingLink):
     def drop(self, reason: str) -> None:
         """Begin to end the connection."""
         self._connection.close(reason)
+
+    def _later(self, delay_s: float, then: Callable[[], None]) -> asyncio.TimerHandle:
+        return asyncio.get_running_loop().call_later(delay_s, then)
 
     def _end_silence(self) -> None:
         self._connection.refuse(f"no greeting within {self._board.limits.greeting_timeout_s:g} s")
@@ -69,6 +77,8 @@ class Input(ReadingLink):
             self._welcome(event)
         elif isinstance(event, Message):
             self._on_message(event, self._greeted.carrier)
+        elif isinstance(event, Lost):
+            self._miss(event.reason, event.count)
         else:
             raise DecodeError(f"{self.peer} sent {event} where a message should be")
 
@@ -81,20 +91,43 @@ class Input(ReadingLink):
                 raise DecodeError(f"{self.peer} needs the plug-in {modifier!r}, which is not here")
         self._greeted = greeted
         self._board.replace(self)
+        _WELCOMES.get(greeted.carrier, Input._stay)(self, greeted)
+
+    def _stay(self, greeted: Greeting) -> None:
         tcp_port = self._board.contact.tcp_port
-        self._connection.write(welcome(greeted.carrier, greeted.sender, tcp_port))
+        self.tcp.write(welcome(greeted.carrier, greeted.sender, tcp_port))
+
+    def _go_on_by_udp(self, greeted: Greeting) -> None:
+        with _as_decode_error("listen for datagrams"):
+            sock = receiving_socket(self.tcp.local_host)
+        self.tcp.write(welcome(greeted.carrier, greeted.sender, sock.getsockname()[1]))
+        self._go_on_by(sock)
+
+    def _go_on_by_mcast(self, greeted: Greeting) -> None:
+        with _as_decode_error(f"join the multicast group {greeted.group}"):
+            sock = group_receiving_socket(greeted.group, self.tcp.local_host)
+        self._go_on_by(sock)
+
+    def _go_on_by(self, sock: socket.socket) -> None:
+        self.tcp.on_lost = None
+        self.tcp.close("goes on by datagrams")
+        self._connection = DatagramReader(
+            sock, self.tcp.peer_host, self._board.limits, self._on_event, self._on_lost
+        )
 
     def _on_message(self, message: Message, carrier: Carrier) -> None:
         letter = message.command[:1]
-        if letter == "D":
+        if letter == "D" or (letter == "d" and carrier.is_connectionless):
             self._on_object(message, carrier, reply_wanted=False)
         elif letter == "d":
             self._on_object(message, carrier, reply_wanted=True)
-        elif letter == "a":
-            self._in_order(partial(self._administer, message), carrier)
         elif letter == "q":
             self._acknowledge(carrier)
             self._connection.close("closed by the peer")
+        elif carrier.is_connectionless:
+            self._lose(f"{message.command!r:.20} cannot be answered over {carrier.name}")
+        elif letter == "a":
+            self._in_order(partial(self._administer, message), carrier)
         elif letter == "r" and carrier is not NAME_SER:
             self._acknowledge(carrier)
             modifiers = self._greeted.modifiers if self._greeted else []
@@ -170,3 +203,18 @@ class Input(ReadingLink):
 
     async def _obey(self, command: str) -> Reply:
         return b"".join(map(text_line, await obey(self._board, command)))
+
+
+@contextlib.contextmanager
+def _as_decode_error(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DecodeError(f"cannot {what}: {error}") from error
+
+
+_WELCOMES: Final[dict[Carrier, Callable[[Input, Greeting], None]]] = {
+    UDP: Input._go_on_by_udp,  # noqa: SLF001 -- methods of this module
+    MCAST: Input._go_on_by_mcast,  # noqa: SLF001
+}
+"""How a peer is welcomed; those of other carriers stay on their TCP connection."""

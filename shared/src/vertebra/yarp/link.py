@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,12 +38,14 @@ class Counters:
         bytes: Their payload bytes.
         dropped: Replaced by a newer message before they could be sent (`delivery="latest"`).
         refused: Not sent because the queue was full, or not readable here.
+        lost: Messages by udp or mcast that came in part, and datagrams that our kernel dropped.
     """
 
     messages: int = 0
     bytes: int = 0
     dropped: int = 0
     refused: int = 0
+    lost: int = 0
 
     def __add__(self, other: Counters) -> Counters:
         return Counters(
@@ -50,6 +53,7 @@ class Counters:
             self.bytes + other.bytes,
             self.dropped + other.dropped,
             self.refused + other.refused,
+            self.lost + other.lost,
         )
 
 
@@ -58,16 +62,66 @@ def is_power_of_two(count: int) -> bool:
     return count & (count - 1) == 0
 
 
-class Connection(asyncio.BufferedProtocol):
-    """A TCP connection: bytes in become events for `on_event`, one after the other.
+class Channel:
+    """What carries messages to or from one peer; events for `on_event`, one after the other.
 
     Attributes:
+        on_writable: Called when a channel that was not `writable` has become so.
+        local_host: Address of our side.
         peer_host: Address of the other side; `peer` is with its TCP port.
-        reason: Why the connection ended, empty while it lives.
+        reason: Why the channel ended, empty while it lives.
         writable: All that was written so far is with the kernel.
         replies: What we write are replies and acks; while a peer does not take them, nothing
             more is taken from it.
+        lost: Done when the channel has ended.
     """
+
+    def __init__(
+        self, on_event: Callable[[Event], None], on_lost: Callable[[], None] | None
+    ) -> None:
+        self.on_event = on_event
+        self.on_lost = on_lost
+        self.on_writable: Callable[[], None] | None = None
+        self.local_host = self.peer_host = self.peer = "?"
+        self.reason = ""
+        self.writable = True
+        self.replies = False
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def hold(self) -> None:
+        """Deliver no more events until `release`."""
+        raise NotImplementedError
+
+    def release(self) -> None:
+        """Deliver events again."""
+        raise NotImplementedError
+
+    def write(self, *buffers: Buffer) -> None:
+        """Send one message; nothing happens on a channel that ends."""
+        raise NotImplementedError
+
+    def close(self, reason: str) -> None:
+        """End the channel, sending first what was written."""
+        raise NotImplementedError
+
+    def refuse(self, reason: str) -> None:
+        """End the channel because of what the peer did."""
+        log.warning("closed the YARP connection from %s: %s", self.peer, reason)
+        self.close(reason)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the channel has ended or is about to."""
+        return bool(self.reason)
+
+    def _end(self) -> None:
+        self.lost.set_result(None)
+        if self.on_lost is not None:
+            self.on_lost()
+
+
+class Connection(Channel, asyncio.BufferedProtocol):
+    """A TCP connection as a channel."""
 
     def __init__(
         self,
@@ -75,20 +129,14 @@ class Connection(asyncio.BufferedProtocol):
         on_event: Callable[[Event], None],
         on_lost: Callable[[], None] | None,
     ) -> None:
-        self.on_event = on_event
-        self.on_lost = on_lost
-        self.on_writable: Callable[[], None] | None = None
+        super().__init__(on_event, on_lost)
         self.receiver = receiver
-        self.peer_host = self.peer = "?"
-        self.reason = ""
-        self.writable = True
-        self.replies = False
-        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._held = False
         self._paused = False
         self._ended = False  # the peer sends no more, but may still read
         self._grace: asyncio.TimerHandle | None = None
         self._transport: asyncio.Transport | None = None
+        self.local_tcp_port = 0
 
     # What asyncio calls:
 
@@ -102,6 +150,7 @@ class Connection(asyncio.BufferedProtocol):
         transport.set_write_buffer_limits(high=0)  # tells at once that the peer does not keep up
         host, tcp_port = transport.get_extra_info("peername")[:2]
         self.peer_host, self.peer = host, f"{host}:{tcp_port}"
+        self.local_host, self.local_tcp_port = transport.get_extra_info("sockname")[:2]
         _keep_alive(transport.get_extra_info("socket"))
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 -- asyncio's signature
@@ -135,9 +184,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._grace is not None:
             self._grace.cancel()
         self.reason = self.reason or (f"lost: {exc}" if exc else "closed by the peer")
-        self.lost.set_result(None)
-        if self.on_lost is not None:
-            self.on_lost()
+        self._end()
 
     # What the owner calls:
 
@@ -166,11 +213,6 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.close()
             loop = asyncio.get_running_loop()
             self._grace = loop.call_later(CLOSE_GRACE_S, self._transport.abort)
-
-    def refuse(self, reason: str) -> None:
-        """End the connection because of what the peer did."""
-        log.warning("closed the YARP connection from %s: %s", self.peer, reason)
-        self.close(reason)
 
     @property
     def closing(self) -> bool:
@@ -226,36 +268,72 @@ async def dial(
         NotConnectedError: Nobody listens there, or it is no YARP port.
         DeadlineError: It does not answer.
     """
-    where = f"YARP port {contact.name} at {contact.host}:{contact.tcp_port}"
     hello = greeting(carrier, sender, modifiers)
+    connection = await reach(contact, carrier, limits)
+    await greet(connection, hello, contact, carrier, limits)
+    return connection
+
+
+async def reach(contact: Contact, carrier: Carrier, limits: PeerLimits) -> Connection:
+    """Connect to a YARP port without a word; raise as `dial` does."""
+    connection = Connection(Receiver(limits, carrier), lambda _: None, None)
+    connect = asyncio.get_running_loop().create_connection
+    async with _meeting(contact, connection, limits):
+        await connect(lambda: connection, contact.host, contact.tcp_port)
+    return connection
+
+
+async def greet(
+    connection: Connection, hello: bytes, contact: Contact, carrier: Carrier, limits: PeerLimits
+) -> Event | None:
+    """Say who we are and return the answer; raise as `dial` does."""
     answered = asyncio.Event()
+    answer: Event | None = None
 
     def on_event(event: Event) -> None:
+        nonlocal answer
         if isinstance(event, Message) and not event.command.startswith("Welcome"):
             raise DecodeError(f"a greeting is answered by a welcome, not by {event.command!r:.80}")
+        answer = event
         connection.hold()
         answered.set()
 
-    connection = Connection(Receiver(limits, carrier), on_event, answered.set)
-    loop = asyncio.get_running_loop()
-    try:
-        async with asyncio.timeout(limits.connect_timeout_s):
-            await loop.create_connection(lambda: connection, contact.host, contact.tcp_port)
+    connection.on_event = on_event
+    connection.on_lost = answered.set
+    async with _meeting(contact, connection, limits):
+        if not connection.closing:
             connection.write(hello)
             await answered.wait()
+    if connection.closing:
+        raise NotConnectedError(
+            f"{_where(contact)} does not take {carrier.name}: {connection.reason}"
+        )
+    return answer
+
+
+@asynccontextmanager
+async def _meeting(
+    contact: Contact, connection: Connection, limits: PeerLimits
+) -> AsyncIterator[None]:
+    """Let a connection be made in time, or not at all."""
+    try:
+        async with asyncio.timeout(limits.connect_timeout_s):
+            yield
     except TimeoutError:
         connection.close("no answer to the greeting")
-        raise DeadlineError(where, limits.connect_timeout_s) from None
+        raise DeadlineError(_where(contact), limits.connect_timeout_s) from None
     except OSError as error:
         raise NotConnectedError(
-            f"cannot reach {where}: {error}; is its process alive? `yarp clean` removes dead names"
+            f"cannot reach {_where(contact)}: {error}; is its process alive? "
+            "`yarp clean` removes dead names"
         ) from error
     except asyncio.CancelledError:
         connection.close("cancelled")
         raise
-    if connection.closing:
-        raise NotConnectedError(f"{where} does not take {carrier.name}: {connection.reason}")
-    return connection
+
+
+def _where(contact: Contact) -> str:
+    return f"YARP port {contact.name} at {contact.host}:{contact.tcp_port}"
 
 
 class PortNotFoundError(NotConnectedError):
@@ -286,7 +364,7 @@ class Link:
         counters: What passed over it in its data direction.
     """
 
-    def __init__(self, connection: Connection, peer: str, carrier: str) -> None:
+    def __init__(self, connection: Channel, peer: str, carrier: str) -> None:
         self.peer = peer
         self.carrier = carrier
         self.counters = Counters()
@@ -314,11 +392,19 @@ class Link:
 
     def _lose(self, reason: object) -> None:
         self.counters.refused += 1
-        if is_power_of_two(self.counters.refused):
+        self._report_loss(reason)
+
+    def _miss(self, reason: str, count: int) -> None:
+        self.counters.lost += count
+        self._report_loss(reason)
+
+    def _report_loss(self, reason: object) -> None:
+        gone = self.counters.refused + self.counters.lost
+        if is_power_of_two(gone):
             log.error(
                 "YARP connection with %s over %s lost %d messages so far: %s",
                 self.peer,
                 self.carrier,
-                self.counters.refused,
+                gone,
                 reason,
             )

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from vertebra.errors import BusyError, CodecError, DecodeError
 from vertebra.yarp.bottle import decode
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.link import Connection, Delivery, Link
+from vertebra.yarp.link import Channel, Delivery, Link
 from vertebra.yarp.receiver import Event, Message, Number
 from vertebra.yarp.text import to_text
 from vertebra.yarp.wire import (
@@ -75,7 +75,7 @@ class Output(Link):
 
     def __init__(
         self,
-        connection: Connection,
+        connection: Channel,
         peer: str,
         carrier: Carrier,
         modifiers: Sequence[str],
@@ -120,7 +120,8 @@ class Output(Link):
     def leave(self, reason: str) -> None:
         """Begin to end the connection."""
         self._waiting.clear()
-        self._connection.write(quit_message(self._carrier))
+        if farewell := quit_message(self._carrier):
+            self._connection.write(farewell)
         self._connection.close(reason)
 
     def _send(self, message: Outgoing) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -13,15 +13,18 @@ from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.text import is_complete, join_lines
 from vertebra.yarp.wire import (
     ACK,
+    GROUP_BYTES,
     INDEX,
     LETTERS,
     MAX_NAME_BYTES,
+    MCAST,
     NAME_SER,
     SMALL_BYTES,
     Carrier,
     PeerLimits,
     choose_carrier,
     decoded,
+    parse_group,
     parse_number,
     parse_sender,
 )
@@ -31,11 +34,16 @@ _I32 = struct.Struct("<i")
 
 @dataclass(frozen=True, slots=True)
 class Greeting:
-    """A peer has chosen its carrier and said its name."""
+    """A peer has chosen its carrier and said its name.
+
+    Attributes:
+        group: Multicast address and UDP port to join, on mcast.
+    """
 
     carrier: Carrier
     sender: str
     modifiers: list[str]
+    group: tuple[str, int] = ("", 0)
 
 
 @dataclass(slots=True)
@@ -70,7 +78,15 @@ class CallReply:
     values: list[Value] | None
 
 
-Event: TypeAlias = Greeting | Message | Number | CallReply
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Something that the peer sent did not arrive."""
+
+    reason: str
+    count: int = 1
+
+
+Event: TypeAlias = Greeting | Message | Number | CallReply | Lost
 
 _SCRATCH_BYTES: Final = 64 * 1024
 _MAX_COMMAND_BYTES: Final = 64 * 1024
@@ -149,11 +165,27 @@ class Receiver:
             self._begin += 8
             self._step = self._name_ser
             return Greeting(carrier, "anon", [])
-        name = self._greeting_line() if carrier.is_text else self._greeting_block(have)
+        if carrier.is_text:
+            return self._greeted(carrier, self._greeting_line(), self._text)
+        if carrier is MCAST:
+            return self._greeted_by_group(have)
+        return self._greeted(carrier, self._greeting_block(have), self._binary)
+
+    def _greeted(
+        self, carrier: Carrier, name: bytes | None, then: Callable[[], Event | None]
+    ) -> Greeting | None:
         if name is None:
             return None
-        self._step = self._text if carrier.is_text else self._binary
+        self._step = then
         return Greeting(carrier, *parse_sender(name))
+
+    def _greeted_by_group(self, have: int) -> Greeting | None:
+        name = self._greeting_block(have - GROUP_BYTES)
+        if name is None:
+            return None
+        group = parse_group(self._view[self._begin : self._begin + GROUP_BYTES])
+        self._begin += GROUP_BYTES
+        return Greeting(MCAST, *parse_sender(name), group)
 
     def _greeting_line(self) -> bytes | None:
         begin = self._begin + 8
@@ -185,7 +217,7 @@ class Receiver:
             if self._filled < len(large):
                 return None
             self._large = None
-            return _parse_message(large)
+            return parse_message(large)
         scratch, begin = self._scratch, self._begin
         have = self._end - begin
         if have < 8:
@@ -198,11 +230,12 @@ class Receiver:
         start = begin + 18 + 4 * (blocks + outputs)
         if self._end < start:
             return None
-        total = self._total(struct.unpack_from(f"<{blocks}i", scratch, begin + 18))
+        sizes = struct.unpack_from(f"<{blocks}i", scratch, begin + 18)
+        total = message_size(sizes, self._limits)
         end = start + total
         if end <= self._end:
             self._begin = end
-            return _parse_message(bytes(self._view[start:end]))
+            return parse_message(bytes(self._view[start:end]))
         if total > SMALL_BYTES:
             self._receive_large(total, start)
         return None
@@ -214,17 +247,6 @@ class Receiver:
             raise DecodeError(f"a message must begin with a YARP number, not with {raw!r}")
         self._begin += 8
         return Number(value)
-
-    def _total(self, sizes: tuple[int, ...]) -> int:
-        if min(sizes, default=0) < 0:
-            raise DecodeError(f"a message announces a block of {min(sizes)} bytes")
-        total = sum(sizes)
-        if total < 8:
-            raise DecodeError(f"a message of {total} bytes has no room for its command")
-        limit = self._limits.max_message_bytes
-        if total > limit:
-            raise DecodeError(f"a message announces {total} bytes; max_message_bytes is {limit}")
-        return total
 
     def _receive_large(self, total: int, start: int) -> None:
         self._large = bytearray(total)
@@ -308,13 +330,36 @@ class Receiver:
         return CallReply(values)
 
 
-def _parse_message(raw: bytes | bytearray) -> Message:
-    if raw[4] != 0x7E:
-        raise DecodeError(f"a message must begin with a port command, not with {bytes(raw[:8])!r}")
-    code = raw[5]
+def message_size(sizes: Sequence[int], limits: PeerLimits) -> int:
+    """Return how many bytes the blocks of a message have that announces these sizes.
+
+    Raises:
+        DecodeError: It cannot be, or is more than we take.
+    """
+    if min(sizes, default=0) < 0:
+        raise DecodeError(f"a message announces a block of {min(sizes)} bytes")
+    total = sum(sizes)
+    if total < 8:
+        raise DecodeError(f"a message of {total} bytes has no room for its command")
+    limit = limits.max_message_bytes
+    if total > limit:
+        raise DecodeError(f"a message announces {total} bytes; max_message_bytes is {limit}")
+    return total
+
+
+def parse_message(raw: bytes | bytearray, start: int = 0) -> Message:
+    """Return the message whose blocks begin at `start`; its payload is a view of `raw`.
+
+    Raises:
+        DecodeError: It does not begin with a port command.
+    """
+    if raw[start + 4] != 0x7E:
+        begin = bytes(raw[start : start + 8])
+        raise DecodeError(f"a message must begin with a port command, not with {begin!r}")
+    code = raw[start + 5]
     if code:
-        return Message(LETTERS.get(code) or chr(code), memoryview(raw).toreadonly()[8:])
-    end = raw.find(0, 8, 8 + _MAX_COMMAND_BYTES)
+        return Message(LETTERS.get(code) or chr(code), memoryview(raw).toreadonly()[start + 8 :])
+    end = raw.find(0, start + 8, start + 8 + _MAX_COMMAND_BYTES)
     if end < 0:
         raise DecodeError(f"a port command does not end within {_MAX_COMMAND_BYTES} bytes")
-    return Message(decoded(raw[8:end]), memoryview(raw).toreadonly()[end + 1 :])
+    return Message(decoded(raw[start + 8 : end]), memoryview(raw).toreadonly()[end + 1 :])

@@ -10,6 +10,7 @@ from typing import Any
 from vertebra.errors import BusyError
 from vertebra.yarp.bottle import Value
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.dialling import Dialler
 from vertebra.yarp.incoming import (
     OnCall,
     OnData,
@@ -17,10 +18,10 @@ from vertebra.yarp.incoming import (
 from vertebra.yarp.inputs import Input
 from vertebra.yarp.link import (
     CLOSE_GRACE_S,
+    Channel,
     Connection,
     Counters,
     Delivery,
-    dial,
     find,
     is_power_of_two,
 )
@@ -65,6 +66,7 @@ class Switchboard:
         self.limits = limits
         self._delivery: Delivery = delivery
         self._depth = depth
+        self._dialler = Dialler(names, limits)
         self._inputs: dict[Input, None] = {}  # oldest first
         self._outputs: list[Output] = []
         self._past_received = Counters()
@@ -119,10 +121,10 @@ class Switchboard:
         """Dial `dest` and write to it from now on, instead of over an earlier connection."""
         spoken, modifiers = parse_carrier(carrier)
         contact = await find(dest, self.names)
-        connection = await dial(contact, spoken, self.name, modifiers, self.limits)
+        channel = await self._dialler.open(self.name, contact, spoken, modifiers)
         self.drop_output(dest)
-        output = self._add_output(connection, dest, spoken, modifiers, is_reverse=False)
-        connection.release()
+        output = self._add_output(channel, dest, spoken, modifiers, is_reverse=False)
+        channel.release()
         if self._closing:  # it was not there to be closed with the others
             output.leave("closed by us")
         return output
@@ -154,7 +156,7 @@ class Switchboard:
                 link for link in self._inputs if link.is_silent and not link.closed
             )  # which may be the new one
             self._turn_away(longest_silent)
-        return new.connection
+        return new.tcp
 
     def replace(self, new: Input) -> None:
         """Close older connections under the same rooted name, as YARP does."""
@@ -176,7 +178,7 @@ class Switchboard:
     def turn_round(self, link: Input, carrier: Carrier, modifiers: Sequence[str]) -> None:
         """Write from now on to a peer that has dialled us."""
         self.forget(link)
-        self._add_output(link.connection, link.peer, carrier, modifiers, is_reverse=True)
+        self._add_output(link.tcp, link.peer, carrier, modifiers, is_reverse=True)
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> None:
         """Run `work` until the port closes."""
@@ -210,7 +212,7 @@ class Switchboard:
 
     def _add_output(
         self,
-        connection: Connection,
+        channel: Channel,
         peer: str,
         carrier: Carrier,
         modifiers: Sequence[str],
@@ -218,7 +220,7 @@ class Switchboard:
         is_reverse: bool,
     ) -> Output:
         output = Output(
-            connection,
+            channel,
             peer,
             carrier,
             modifiers,
@@ -230,9 +232,9 @@ class Switchboard:
         def on_lost() -> None:
             self._outputs.remove(output)
             self._past_sent += output.counters
-            log.info("%s no longer writes to %s: %s", self.name, peer, connection.reason)
+            log.info("%s no longer writes to %s: %s", self.name, peer, channel.reason)
 
-        connection.on_lost = on_lost
+        channel.on_lost = on_lost
         self._outputs.append(output)
         log.info("%s writes to %s over %s", self.name, peer, output.carrier)
         return output

@@ -9,6 +9,9 @@ on it sends messages; the other side sends acknowledgements and replies.
     text     -> "CONNECT name" or "CONNACK name"          <- "Welcome name"
              -> command line . payload line               <- [reply line] ["<ACK>" on text_ack]
     name_ser -> "NAME_SERVER payload" on each line        <- reply lines
+    udp      -> as binary; the TCP connection ends        <- number(UDP port)
+    mcast    -> as binary, then group . u16 UDP port; the TCP connection ends
+    mjpeg    -> "GET /?action=stream"                     <- JPEGs as parts of one HTTP response
 
 A number is `YA . i32 . RP`. A binary command is `i32 length . ~ . letter . 00 . 01`; where the
 letter is 00, a NUL-terminated text follows that begins with the letter. A reply is the bare
@@ -18,6 +21,7 @@ object: it has neither index nor length.
 from __future__ import annotations
 
 import re
+import socket
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +44,8 @@ class PeerLimits:
         greeting_timeout_s: How long a peer may take to choose its carrier.
         connect_timeout_s: How long dialling another port may take, its greeting included.
         reply_timeout_s: How long `on_call` may take before the caller gets `[fail]`.
+        datagram_silence_s: After such a time without datagrams a writer by udp or mcast is asked
+            whether it still writes to us; nothing else would tell.
     """
 
     max_message_bytes: int = 64 * 1024 * 1024
@@ -48,6 +54,7 @@ class PeerLimits:
     greeting_timeout_s: float = 30.0
     connect_timeout_s: float = 5.0
     reply_timeout_s: float = 10.0
+    datagram_silence_s: float = 10.0
 
 
 DEFAULT_LIMITS: Final = PeerLimits()
@@ -86,12 +93,16 @@ class Carrier:
         header: The eight bytes that choose it.
         acks: The receiver acknowledges every message.
         is_text: Messages are lines of text.
+        is_connectionless: Messages travel as datagrams, after a greeting over TCP.
+        is_push: The side that writes dials; otherwise the one that reads.
     """
 
     name: str
     header: bytes
     acks: bool
     is_text: bool
+    is_connectionless: bool = False
+    is_push: bool = True
 
 
 TCP: Final = Carrier("tcp", yarp_number(_BINARY_CARRIERS + 3 + _WITH_ACK), acks=True, is_text=False)
@@ -99,8 +110,15 @@ FAST_TCP: Final = Carrier("fast_tcp", yarp_number(_BINARY_CARRIERS + 3), acks=Fa
 TEXT: Final = Carrier("text", b"CONNECT ", acks=False, is_text=True)
 TEXT_ACK: Final = Carrier("text_ack", b"CONNACK ", acks=True, is_text=True)
 NAME_SER: Final = Carrier("name_ser", b"NAME_SER", acks=False, is_text=True)
+UDP: Final = Carrier("udp", yarp_number(_BINARY_CARRIERS), acks=False, is_text=False,
+                     is_connectionless=True)  # fmt: skip
+MCAST: Final = Carrier("mcast", yarp_number(_BINARY_CARRIERS + 1), acks=False, is_text=False,
+                       is_connectionless=True)  # fmt: skip
 
-OUTPUT_CARRIERS: Final = {carrier.name: carrier for carrier in (TCP, FAST_TCP, TEXT, TEXT_ACK)}
+OUTPUT_CARRIERS: Final = {
+    carrier.name: carrier for carrier in (TCP, FAST_TCP, UDP, MCAST, TEXT, TEXT_ACK)
+}
+CARRIERS: Final = {**OUTPUT_CARRIERS, NAME_SER.name: NAME_SER}
 _SPOKEN: Final = ", ".join(OUTPUT_CARRIERS)
 
 _TEXT_HEADERS: Final = {carrier.header: carrier for carrier in (TEXT, TEXT_ACK, NAME_SER)}
@@ -112,7 +130,8 @@ _FOREIGN_HEADERS: Final = {
     b"UNIX_STR": "unix_stream",
     b"HUMANITY": "human",
 }
-_FOREIGN_CODES: Final = {0: "udp", 1: "mcast", 14: "shmem"}  # the code's low four bits
+_BY_CODE: Final = {0: UDP, 1: MCAST, 3: FAST_TCP}  # the code's low four bits
+_FOREIGN_CODES: Final = {14: "shmem"}
 
 UNKNOWN_HEADER_ANSWER: Final = (
     b"* Error. Protocol not found.\r\n"
@@ -145,8 +164,9 @@ def choose_carrier(header: bytes) -> Carrier:
                 raise _foreign(name)
         raise UnknownCarrierError(f"the first 8 bytes {header!r} choose no YARP carrier")
     code = number - _BINARY_CARRIERS
-    if code % 16 == 3:
-        return TCP if code & _WITH_ACK else FAST_TCP
+    if code % 16 in _BY_CODE:
+        carrier = _BY_CODE[code % 16]
+        return TCP if carrier is FAST_TCP and code & _WITH_ACK else carrier
     if code % 16 in _FOREIGN_CODES:
         raise _foreign(_FOREIGN_CODES[code % 16])
     raise UnknownCarrierError(f"the first 8 bytes choose a YARP carrier of unknown code {code}")
@@ -174,6 +194,7 @@ def parse_carrier(text: str) -> tuple[Carrier, list[str]]:
 # --- greetings -------------------------------------------------------------------------------
 
 MAX_NAME_BYTES: Final = 1000
+GROUP_BYTES: Final = 6
 _MODIFIER: Final = re.compile(r"\(([^()]*)\)")
 
 
@@ -192,11 +213,21 @@ def greeting(carrier: Carrier, sender: str, modifiers: Sequence[str] = ()) -> by
     return carrier.header + _I32.pack(len(name) + 1) + name + b"\0"
 
 
-def welcome(carrier: Carrier, sender: str, own_tcp_port: int) -> bytes:
-    """Return the answer to a greeting."""
+def welcome(carrier: Carrier, sender: str, own_port: int) -> bytes:
+    """Return the answer to a greeting; by udp `own_port` is the UDP port to send to."""
     if carrier is NAME_SER:
         return b""
-    return text_line(f"Welcome {sender}") if carrier.is_text else yarp_number(own_tcp_port)
+    return text_line(f"Welcome {sender}") if carrier.is_text else yarp_number(own_port)
+
+
+def group_bytes(group: tuple[str, int]) -> bytes:
+    """Return what follows a greeting by mcast: the address of the group to join."""
+    return socket.inet_aton(group[0]) + struct.pack(">H", group[1])
+
+
+def parse_group(raw: Buffer) -> tuple[str, int]:
+    """Return the group that these `GROUP_BYTES` name."""
+    return socket.inet_ntoa(bytes(raw[:4])), int.from_bytes(raw[4:6], "big")
 
 
 def parse_sender(raw: bytes) -> tuple[str, list[str]]:
@@ -260,7 +291,9 @@ def binary_message(command_block: bytes, payload: Sequence[Buffer]) -> list[Buff
 
 
 def quit_message(carrier: Carrier) -> bytes:
-    """Return the message with which a writer leaves."""
+    """Return the message with which a writer leaves, empty where it has to do so by other means."""
+    if carrier.is_connectionless:
+        return b""
     if carrier.is_text:
         return b"q\r\n"
     return b"".join(binary_message(_long_command(_QUIT.encode()), ()))
