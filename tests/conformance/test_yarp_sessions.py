@@ -129,7 +129,8 @@ class Ear(asyncio.Transport):
     """A transport that keeps what is written to it."""
 
     def __init__(self, connection: Connection) -> None:
-        super().__init__({"peername": ("127.0.0.1", 50000), "socket": FakeSocket()})
+        ends = {"peername": ("127.0.0.1", 50000), "sockname": ("127.0.0.1", 50001)}
+        super().__init__({**ends, "socket": FakeSocket()})
         self.connection = connection
         self.heard = bytearray()
         self._closing = False
