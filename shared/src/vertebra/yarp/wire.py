@@ -21,10 +21,10 @@ object: it has neither index nor length.
 from __future__ import annotations
 
 import re
-import socket
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import Final, TypeAlias
 
 from vertebra.errors import DecodeError, EncodeError
@@ -222,12 +222,12 @@ def welcome(carrier: Carrier, sender: str, own_port: int) -> bytes:
 
 def group_bytes(group: tuple[str, int]) -> bytes:
     """Return what follows a greeting by mcast: the address of the group to join."""
-    return socket.inet_aton(group[0]) + struct.pack(">H", group[1])
+    return IPv4Address(group[0]).packed + struct.pack(">H", group[1])
 
 
 def parse_group(raw: Buffer) -> tuple[str, int]:
     """Return the group that these `GROUP_BYTES` name."""
-    return socket.inet_ntoa(bytes(raw[:4])), int.from_bytes(raw[4:6], "big")
+    return str(IPv4Address(bytes(raw[:4]))), int.from_bytes(raw[4:6], "big")
 
 
 def parse_sender(raw: bytes) -> tuple[str, list[str]]:
