@@ -208,6 +208,7 @@ def test_the_envelope_is_what_follows_the_letter() -> None:
 def test_a_large_payload_is_received_in_place() -> None:
     receiver = Receiver(LIMITS, TCP)
     raw = message(bytes(200_000))
+    assert len(feed(receiver, raw)) == 1
     assert feed(receiver, raw[:100]) == []
     room = receiver.get_buffer()
     assert len(room) == len(raw) - 100  # the rest and nothing of the next message
@@ -220,6 +221,17 @@ def test_a_large_payload_is_received_in_place() -> None:
     assert event.payload.obj is room.obj
     assert event.payload.readonly
     assert (len(event.payload), event.payload[-1]) == (200_000, 7)
+
+
+def test_memory_goes_to_peers_that_send_not_to_those_that_announce() -> None:
+    limits = PeerLimits(max_message_bytes=2**31 - 1)
+    payload = bytes(range(256)) * 8192
+    raw = message(payload)
+    receiver = Receiver(limits, TCP)
+    assert feed(receiver, index(2**31 - 1)) == []
+    assert len(receiver.get_buffer()) < 200_000
+    for step in (len(raw), 50_000):
+        assert plain(feed(Receiver(limits, TCP), raw, step)) == [("D", payload)]
 
 
 @pytest.mark.parametrize(("blocks", "outputs"), [(1, 1), (1, 0), (24, 1), (255, 255)])

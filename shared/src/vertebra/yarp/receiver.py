@@ -90,6 +90,9 @@ Event: TypeAlias = Greeting | Message | Number | CallReply | Lost
 
 _SCRATCH_BYTES: Final = 64 * 1024
 _MAX_COMMAND_BYTES: Final = 64 * 1024
+_UNPROVEN_BYTES: Final = 128 * 1024
+_GROWTH: Final = 8
+"""Of the buffer of a large message: memory goes to peers that send, not to those that announce."""
 _MAX_CONTINUED_LINES: Final = 100
 
 
@@ -111,6 +114,8 @@ class Receiver:
         self._view = memoryview(self._scratch)
         self._begin = self._end = 0  # of what lies unread in the scratch
         self._large: bytearray | None = None
+        self._announced = 0  # bytes of the large message
+        self._proven = _UNPROVEN_BYTES  # or the largest message so far, if that was larger
         self._filled = 0
         self._pending = bytearray()  # the begin of a line or of a reply
         self._text_command: str | None = None  # of which the payload line has not come yet
@@ -216,7 +221,12 @@ class Receiver:
         if large is not None:
             if self._filled < len(large):
                 return None
+            if self._filled < self._announced:
+                self._large = bytearray(min(_GROWTH * self._filled, self._announced))
+                self._large[: self._filled] = large
+                return None
             self._large = None
+            self._proven = max(self._proven, self._filled)
             return parse_message(large)
         scratch, begin = self._scratch, self._begin
         have = self._end - begin
@@ -249,7 +259,8 @@ class Receiver:
         return Number(value)
 
     def _receive_large(self, total: int, start: int) -> None:
-        self._large = bytearray(total)
+        self._announced = total
+        self._large = bytearray(min(total, self._proven))
         self._filled = self._end - start
         self._large[: self._filled] = self._view[start : self._end]
         self._begin = self._end = 0
