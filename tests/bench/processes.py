@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,15 +51,21 @@ class Peer:
 
     def resident_bytes(self) -> int:
         """Return the memory of the peer and of all processes it has started."""
-        total = 0
+        return sum(int(stat[21]) for stat in self._stats()) * os.sysconf("SC_PAGESIZE")
+
+    def cpu_s(self) -> float:
+        """Return the CPU time of the peer and of all processes it has started."""
+        ticks = sum(int(stat[11]) + int(stat[12]) for stat in self._stats())
+        return ticks / os.sysconf("SC_CLK_TCK")
+
+    def _stats(self) -> Iterator[list[str]]:
         for process in Path("/proc").glob("[0-9]*"):
             try:
-                fields = (process / "stat").read_text().rpartition(")")[2].split()
+                stat = (process / "stat").read_text().rpartition(")")[2].split()
             except (FileNotFoundError, ProcessLookupError):  # ended in the meantime
                 continue
-            if int(fields[3]) == self._process.pid:  # its session
-                total += int(fields[21]) * os.sysconf("SC_PAGESIZE")
-        return total
+            if int(stat[3]) == self._process.pid:  # its session
+                yield stat
 
     async def end(self) -> None:
         """Hang up, and end by force what does not end by itself; Wrapyfi's helpers never do."""
@@ -107,6 +113,14 @@ async def router() -> AsyncIterator[tuple[str, Peer]]:
         yield locator, peer
 
 
+@asynccontextmanager
+async def name_server() -> AsyncIterator[str]:
+    """Run a YARP name server; give its address."""
+    endpoint = f"127.0.0.1:{free_tcp_port()}"
+    async with started("yarp", "names", Stream(endpoint=endpoint, dtype="|u1", shape=())):
+        yield endpoint
+
+
 @dataclass(slots=True)
 class Exchange:
     """What came of one run.
@@ -136,8 +150,8 @@ class Pair:
     """A sender and a receiver of one system; `async with Pair.of(...) as pair`."""
 
     def __init__(self, sender: Peer, receiver: Peer, helpers: Sequence[Peer]) -> None:
-        self._sender = sender
-        self._receiver = receiver
+        self.sender = sender
+        self.receiver = receiver
         self._all = (sender, receiver, *helpers)
         self._run = 0
 
@@ -183,15 +197,15 @@ class Pair:
         `watch_s` if that is given.
         """
         self._run += 1
-        await self._receiver.ask(self._run, str)
+        await self.receiver.ask(self._run, str)
         order = Order(run=self._run, count=count, rate_hz=rate_hz, limit_s=limit_s)
         memory: list[int] = []
         watch = asyncio.create_task(self._watch(memory, watch_s)) if watch_s else None
-        sent = await self._sender.ask(order, Sent, timeout_s=10 * START_S)
+        sent = await self.sender.ask(order, Sent, timeout_s=10 * START_S)
         await self._settle(sent.count, quiet_s)
         if watch is not None:
             watch.cancel()
-        taken = await self._receiver.ask("take", Taken)
+        taken = await self.receiver.ask("take", Taken)
         received_ns = [sum(pair) for pair in zip(taken.sent_ns, taken.latency_ns, strict=True)]
         seconds = (max(received_ns) - min(received_ns)) / 1e9 if received_ns else 0.0
         return Exchange(
@@ -207,7 +221,7 @@ class Pair:
         arrived = -1
         quiet_since_s = time.monotonic()
         while arrived < count and time.monotonic() - quiet_since_s < quiet_s:
-            now = await self._receiver.ask("count", int)
+            now = await self.receiver.ask("count", int)
             if now != arrived:
                 arrived, quiet_since_s = now, time.monotonic()
             else:

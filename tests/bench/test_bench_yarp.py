@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from typing import Final
 
 import pytest
 
-from vertebra.testing.ports import free_tcp_port
-
 from .conftest import Plan
 from .peers.peer import Order, Stream
-from .processes import Pair, started
+from .processes import Pair, name_server, started
 from .report import Goal, Report, Table, duration, median, percentile
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(120)]
@@ -25,13 +21,6 @@ CPP_IMAGES_HZ: Final = 2550
 CPP_ONE_WAY: Final = "61 µs"
 CPP_RPC: Final = "69 µs"
 """The C++ library through its Python bindings, measured on another machine (DESIGN 11)."""
-
-
-@asynccontextmanager
-async def name_server() -> AsyncIterator[str]:
-    endpoint = f"127.0.0.1:{free_tcp_port()}"
-    async with started("yarp", "names", Stream(endpoint=endpoint, dtype="|u1", shape=(64,))):
-        yield endpoint
 
 
 async def test_yarp_streams(plan: Plan, report: Report) -> None:
