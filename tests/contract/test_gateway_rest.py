@@ -31,7 +31,7 @@ from vertebra.errors import (
 from vertebra.messages import Status, Text
 from vertebra.service import MessagePublisher, service_key
 from vertebra.testing.bus_suite import eventually
-from vertebra_gateway import rest
+from vertebra_gateway import bodies, rest
 from vertebra_gateway.app import make_app
 from vertebra_gateway.auth import Guard
 from vertebra_gateway.fleet import Fleet
@@ -252,7 +252,7 @@ async def test_an_input_outside_schema_or_limits_is_422_and_reaches_no_robot(
 
 
 async def test_a_body_that_is_too_long_is_413(rig: Rig) -> None:
-    body = b'{"positions_deg": {"neck_yaw": 1}, "x": "' + b"x" * rest.MAX_BODY_BYTES + b'"}'
+    body = b'{"positions_deg": {"neck_yaw": 1}, "x": "' + b"x" * bodies.MAX_BODY_BYTES + b'"}'
     problem(await rig.http.post(MOVE, content=body, headers=BEARER), 413)
     assert rig.robot.moves == []
 

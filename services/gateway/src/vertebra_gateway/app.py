@@ -16,8 +16,10 @@ from starlette.types import ASGIApp, Scope
 from vertebra.errors import VertebraError
 from vertebra_gateway import openapi
 from vertebra_gateway.auth import Guard, GuardMiddleware
+from vertebra_gateway.bodies import JsonResponse
 from vertebra_gateway.problems import Problem, problem_of
-from vertebra_gateway.rest import Gateway, JsonResponse, routes
+from vertebra_gateway.rest import Gateway, routes
+from vertebra_gateway.yarp import yarp_routes
 
 STATIC: Final = Path(__file__).parent / "static"
 _MEDIA_TYPES: Final = {
@@ -35,6 +37,7 @@ def make_app(gateway: Gateway, guard: Guard) -> ASGIApp:
     """Return the whole application."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     app.include_router(routes(gateway))
+    app.include_router(yarp_routes(gateway.bus, gateway.fleet))
 
     @app.get("/openapi.json")
     async def openapi_json() -> Response:

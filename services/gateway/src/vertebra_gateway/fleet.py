@@ -59,6 +59,14 @@ class Fleet:
         """Return a row for each service."""
         return [self._services[name].describe() for name in sorted(self._services)]
 
+    def instances(self, service: str) -> list[str]:
+        """Return which instances of a service are present."""
+        return [
+            found.instance
+            for name, found in sorted(self._services.items())
+            if name[0] == service and found.present
+        ]
+
     async def follow(self) -> None:
         """Keep the services up to date, for ever."""
         async with asyncio.TaskGroup() as tasks:

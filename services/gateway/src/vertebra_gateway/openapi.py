@@ -91,6 +91,29 @@ _SCHEMAS: Final = {
         lost=_COUNT,
     ),
     "Ok": _object(ok=_FLAG),
+    "YarpRoute": _object(
+        yarp=_TEXT,
+        key=_TEXT,
+        kind=_TEXT,
+        mirrored=_FLAG,
+        messages=_COUNT,
+        bytes=_COUNT,
+        dropped=_COUNT,
+        refused=_COUNT,
+        connected=_FLAG,
+        last_error=_TEXT,
+    ),
+    "YarpPort": _object(
+        name=_TEXT,
+        carrier=_TEXT,
+        address={"type": "string", "description": "host:tcp_port"},
+        alive=_FLAG,
+        trouble={"type": "string", "description": "Why it is not alive"},
+    ),
+    "YarpConnection": _object(**{"from": _TEXT, "to": _TEXT, "carrier": _TEXT}),
+    "YarpRoutes": _object(routes=_list_of("YarpRoute")),
+    "YarpPorts": _object(ports=_list_of("YarpPort")),
+    "YarpConnections": _object(connections=_list_of("YarpConnection"), silent=_list_of("YarpPort")),
 }
 _PROBLEMS: Final = {
     "default": {
@@ -99,6 +122,15 @@ _PROBLEMS: Final = {
             "application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}
         },
     }
+}
+_WIRED: Final = {
+    "200": {
+        "description": "The connection",
+        "content": {
+            "application/json": {"schema": {"$ref": "#/components/schemas/YarpConnection"}}
+        },
+    },
+    **_PROBLEMS,
 }
 _IMAGE_HEADERS: Final = {
     "X-Captured-Ns": {"schema": {"type": "string"}},
@@ -119,6 +151,47 @@ _FIXED: Final = {
         "One robot and what it offers",
         {"$ref": "#/components/schemas/Robot"},
     ),
+    "/api/yarp/routes": (
+        "What the YARP adapter carries, and has carried",
+        {"$ref": "#/components/schemas/YarpRoutes"},
+    ),
+    "/api/yarp/ports": (
+        "All registered YARP ports, each asked whether it is alive",
+        {"$ref": "#/components/schemas/YarpPorts"},
+    ),
+    "/api/yarp/connections": (
+        "All connections between YARP ports, and the ports that did not answer",
+        {"$ref": "#/components/schemas/YarpConnections"},
+    ),
+}
+_WIRING: Final[dict[str, dict[str, Any]]] = {
+    "post": {
+        "operationId": "api-yarp-connect",
+        "summary": "Connect two YARP ports, as `yarp connect` does",
+        "requestBody": {
+            "required": True,
+            "content": {
+                "application/json": {
+                    "schema": {
+                        **_object(**{"from": _TEXT, "to": _TEXT}),
+                        "properties": {
+                            "from": _TEXT,
+                            "to": _TEXT,
+                            "carrier": {"type": "string", "default": "tcp"},
+                        },
+                    }
+                }
+            },
+        },
+    },
+    "delete": {
+        "operationId": "api-yarp-disconnect",
+        "summary": "Disconnect two YARP ports, as `yarp disconnect` does",
+        "parameters": [
+            {"name": name, "in": "query", "required": True, "schema": _TEXT}
+            for name in ("from", "to")
+        ],
+    },
 }
 
 
@@ -128,6 +201,8 @@ def describe(robots: Robots) -> dict[str, Any]:
         path: {"get": _fixed_operation(path, summary, schema)}
         for path, (summary, schema) in _FIXED.items()
     }
+    for method, operation in _WIRING.items():
+        paths["/api/yarp/connections"][method] = {**operation, "responses": _WIRED}
     for robot in robots:
         for resource in robot.profile.resources:
             path = f"/api/robots/{robot.profile.robot}/{resource.path}"

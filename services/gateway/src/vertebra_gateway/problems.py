@@ -91,6 +91,7 @@ class InputRefusedError(CommandRefusedError):
 
 _REMOTE: Final = {
     CommandRefusedError.__name__: 422,
+    NameMappingError.__name__: 422,
     BusyError.__name__: 429,
     NotConnectedError.__name__: 503,
     DeadlineError.__name__: 504,

@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
-import msgspec
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from vertebra.bus import Bus
 from vertebra.codec import CodecRegistry
 from vertebra.errors import NotConnectedError
+from vertebra_gateway.bodies import JsonResponse, read_body
 from vertebra_gateway.fleet import Fleet
 from vertebra_gateway.mjpeg import MjpegResponse
-from vertebra_gateway.problems import InputRefusedError, ProblemError
+from vertebra_gateway.problems import ProblemError
 from vertebra_gateway.profile import Resource
 from vertebra_gateway.resources import Robots
 from vertebra_gateway.streams import Streams, to_document
 from vertebra_gateway.ws import Clients
 
-MAX_BODY_BYTES: Final = 1 << 20
 FIRST_VALUE_WITHIN_S: Final = 2.0
 IMAGE_MAX_AGE_S: Final = 2.0
-
-
-class JsonResponse(Response):
-    """JSON by msgspec."""
-
-    media_type = "application/json"
-
-    def render(self, content: Any) -> bytes:
-        """Return the JSON text."""
-        return content if isinstance(content, bytes) else msgspec.json.encode(content)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,20 +124,6 @@ def routes(gateway: Gateway) -> APIRouter:
         found = robots.robot(robot).resource(path)
         if found.http_method != "POST":
             raise ProblemError(405, f"{path!r} is read with GET", allowed=["GET"])
-        return JsonResponse(await robots.call(robot, path, await _body(request)))
+        return JsonResponse(await robots.call(robot, path, await read_body(request)))
 
     return router
-
-
-async def _body(request: Request) -> Any:
-    raw = bytearray()
-    async for chunk in request.stream():
-        raw += chunk
-        if len(raw) > MAX_BODY_BYTES:
-            raise ProblemError(413, f"the body is longer than {MAX_BODY_BYTES} bytes")
-    if not raw:
-        return {}
-    try:
-        return msgspec.json.decode(raw)
-    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise InputRefusedError(f"the body is no JSON: {error}") from error

@@ -5,15 +5,19 @@ from __future__ import annotations
 import asyncio
 import logging
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import msgspec
 
 from vertebra.bus import Closeable, Reply, Request
 from vertebra.errors import ConfigError, TransportError
 from vertebra.keys import map_name, unmap_name
 from vertebra.service import Context
 from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
-from vertebra_yarp.carried import Carried, Kit
+from vertebra_yarp.carried import OWN_NAMES, Carried, Kit
+from vertebra_yarp.desk import Desk
 from vertebra_yarp.driver import Transport, native_driver
+from vertebra_yarp.metrics import RouteMetrics
 from vertebra_yarp.part import Part
 from vertebra_yarp.routes import Call, ControlBoard, Routes, Stream, read_routes
 from vertebra_yarp.settings import YarpSettings
@@ -23,7 +27,7 @@ log = logging.getLogger(__name__)
 
 MIRROR_PREFIX: Final = "yarp"
 """YARP ports that no route claims are below this chunk."""
-LOOK_EVERY_S: Final = 2.0
+LOOK_EVERY_S: Final = 1.0
 
 
 async def serve(context: Context[YarpSettings]) -> None:
@@ -37,6 +41,7 @@ async def serve(context: Context[YarpSettings]) -> None:
         advertise_host=settings.advertise_host,
     ) as transport:
         adapter = Adapter(context, transport)
+        served = Desk(context, transport, adapter.describe)
         try:
             await adapter.carry(routes)
             context.ready()
@@ -45,6 +50,7 @@ async def serve(context: Context[YarpSettings]) -> None:
                 if settings.routes is not None:
                     tasks.create_task(adapter.follow_file(settings.routes))
         finally:
+            served.close()
             await adapter.close()
 
 
@@ -58,6 +64,7 @@ class Adapter:
         self._explicit: dict[Stream | Call | ControlBoard, Carried] = {}
         self._mirrored: dict[str, InboundStream] = {}
         self._served_mirror: Closeable | None = None
+        context.metrics.register(RouteMetrics(self._kit.carried))
         if context.settings.automatic:
             self._served_mirror = context.bus.serve(f"{MIRROR_PREFIX}/**", self._call_mirrored)
 
@@ -81,7 +88,7 @@ class Adapter:
         """Mirror the YARP ports that no route claims, as they come and go."""
         while True:
             try:
-                contacts = await self.transport.list_ports()
+                contacts = await self.transport.names.list_ports()
             except TransportError as error:
                 self.context.report("name server", "error", str(error))
             else:
@@ -91,7 +98,7 @@ class Adapter:
             await asyncio.sleep(LOOK_EVERY_S)
 
     async def _mirror(self, names: set[str]) -> None:
-        own = self.context.settings.prefix
+        own = (f"{self._kit.own_name}/", OWN_NAMES)
         claimed = {route.yarp for route in self._explicit}
         claimed |= {
             f"{route.yarp}/{leaf}"
@@ -102,9 +109,11 @@ class Adapter:
         wanted = {
             name
             for name in names - claimed
-            if name.startswith("/") and not name.startswith(f"{own}/") and name != "/root"
+            if name.startswith("/") and not name.startswith(own) and name != "/root"
         }
         for name in self._mirrored.keys() - wanted:
+            if self._mirrored[name].traffic.connected and name not in claimed:
+                continue  # the name server has forgotten it, as a restarted one does
             await self._mirrored.pop(name).close()
             self.context.routes.pop(name, None)
         for name in wanted - self._mirrored.keys():
@@ -112,6 +121,20 @@ class Adapter:
             self._mirrored[name] = InboundStream(self._kit, route)
             self._mirrored[name].start()
             self.context.routes[name] = route.key
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return the table of routes: what each carries, and what it has carried."""
+        rows = [
+            {
+                "yarp": carried.name,
+                "key": carried.key,
+                "kind": carried.kind,
+                "mirrored": carried.name in self._mirrored,
+                **msgspec.to_builtins(carried.traffic),
+            }
+            for carried in self._kit.carried
+        ]
+        return sorted(rows, key=lambda row: (row["yarp"], row["key"]))
 
     async def follow_file(self, path: Path) -> None:
         """Take over changes of the routes file; a faulty one is reported and changes nothing."""

@@ -9,7 +9,7 @@ import msgspec
 
 from vertebra.bus import Reply, Request
 from vertebra.codec import to_json_value
-from vertebra.errors import CodecError, CommandRefusedError, TransportError
+from vertebra.errors import CodecError, CommandRefusedError, TransportError, VertebraError
 from vertebra.messages import Bottle
 from vertebra.yarp import Incoming, Value, Vocab, from_text, to_text
 from vertebra_yarp import mapping
@@ -39,8 +39,10 @@ class RpcLink(Redialled[Caller]):
 class InboundCall(Carried):
     """A YARP RPC port, called by its key."""
 
+    kind = "inbound call"
+
     def __init__(self, kit: Kit, route: Call) -> None:
-        super().__init__(kit, route.yarp)
+        super().__init__(kit, route.yarp, route.key)
         self.link = RpcLink(kit.transport, route.yarp)
         self._served = kit.context.bus.serve(route.key, self._answer)
 
@@ -49,7 +51,16 @@ class InboundCall(Carried):
         await asyncio.get_running_loop().create_future()
 
     async def _answer(self, request: Request) -> Reply:
-        return await call_yarp(await self.link.caller(), request)
+        try:
+            reply = await call_yarp(await self.link.caller(), request)
+        except VertebraError as error:
+            self.refuse(error)
+            raise
+        finally:
+            self.traffic.connected = self.link.connected
+        self.traffic.messages += 1
+        self.traffic.bytes += len(reply.payload)
+        return reply
 
     async def close(self) -> None:
         """End it."""
@@ -61,8 +72,10 @@ class InboundCall(Carried):
 class OutboundCall(Carried):
     """A YARP RPC port of ours, whose calls go to a key."""
 
+    kind = "outbound call"
+
     def __init__(self, kit: Kit, route: Call) -> None:
-        super().__init__(kit, route.yarp)
+        super().__init__(kit, route.yarp, route.key)
         self.route = route
 
     async def work(self) -> None:
@@ -71,7 +84,7 @@ class OutboundCall(Carried):
 
     async def _serve(self) -> str:
         server = await self.kit.transport.open_server(self.route.yarp, self._answer)
-        self.kit.context.report(self.name, "ok")
+        self.connected()
         try:
             await asyncio.get_running_loop().create_future()
         finally:
@@ -86,7 +99,10 @@ class OutboundCall(Carried):
                 route.key, _json(Bottle(values=plain)), encoding=JSON, timeout_s=route.timeout_s
             )
         except TransportError as error:
+            self.refuse(error)
             return [Vocab("fail"), str(error)]
+        self.traffic.messages += 1
+        self.traffic.bytes += len(incoming.payload)
         document = msgspec.json.decode(reply.payload)
         return mapping.values_of(document if isinstance(document, list) else [_text(document)])
 

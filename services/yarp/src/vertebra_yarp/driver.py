@@ -6,9 +6,8 @@ import contextlib
 from collections.abc import AsyncIterator, Sequence
 from typing import Protocol
 
-from vertebra.errors import ConfigError
+from vertebra.errors import ConfigError, NotConnectedError
 from vertebra.yarp import (
-    Contact,
     Counters,
     Delivery,
     Dialect,
@@ -82,8 +81,9 @@ class Writer(Protocol):
 class Transport(Protocol):
     """What the adapter needs of YARP; raises `TransportError` when a peer is away."""
 
-    async def list_ports(self) -> list[Contact]:
-        """Return all registered YARP ports."""
+    @property
+    def names(self) -> NameClient:
+        """The name server."""
         ...
 
     async def read(self, source: str, reader_name: str, on_data: OnData) -> Connection:
@@ -101,11 +101,14 @@ class Transport(Protocol):
         ...
 
     async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Writer:
-        """Open an output port that others connect to readers, or read in reverse."""
+        """Open an output port that others connect to readers, or read in reverse.
+
+        A name that a living port has is not taken from it: `NotConnectedError`.
+        """
         ...
 
     async def open_server(self, name: str, on_call: OnCall) -> Writer:
-        """Open an RPC port."""
+        """Open an RPC port; see `open_writer`."""
         ...
 
 
@@ -113,21 +116,17 @@ class NativeDriver:
     """`Transport` on our own implementation of the wire protocol."""
 
     def __init__(self, names: NameClient, *, bind_host: str, advertise_host: str | None) -> None:
-        self._names = names
+        self.names = names
         self._bind_host = bind_host
         self._advertise_host = advertise_host
 
-    async def list_ports(self) -> list[Contact]:
-        """See `Transport.list_ports`."""
-        return await self._names.list_ports()
-
     async def read(self, source: str, reader_name: str, on_data: OnData) -> Reader:
         """See `Transport.read`: by reverse connection, so that the robot opens nothing for us."""
-        return await Reader.dial(source, self._names, on_data=on_data, reader_name=reader_name)
+        return await Reader.dial(source, self.names, on_data=on_data, reader_name=reader_name)
 
     async def dial(self, name: str) -> RpcClient:
         """See `Transport.dial`."""
-        return await RpcClient.connect(name, self._names)
+        return await RpcClient.connect(name, self.names)
 
     async def send_to(
         self, dest: str, sender_name: str, *, carrier: str = "fast_tcp", depth: int = 0
@@ -135,7 +134,7 @@ class NativeDriver:
         """See `Transport.send_to`: nothing of ours is registered or listens."""
         return await Sender.dial(
             dest,
-            self._names,
+            self.names,
             sender_name=sender_name,
             carrier=carrier,
             delivery="queue" if depth else "latest",
@@ -144,9 +143,10 @@ class NativeDriver:
 
     async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Port:
         """See `Transport.open_writer`."""
+        await self._check_free(name)
         return await Port.open(
             name,
-            self._names,
+            self.names,
             delivery=delivery,
             depth=depth,
             bind_host=self._bind_host,
@@ -155,13 +155,22 @@ class NativeDriver:
 
     async def open_server(self, name: str, on_call: OnCall) -> Port:
         """See `Transport.open_server`."""
+        await self._check_free(name)
         return await Port.open(
             name,
-            self._names,
+            self.names,
             on_call=on_call,
             bind_host=self._bind_host,
             advertise_host=self._advertise_host,
         )
+
+    async def _check_free(self, name: str) -> None:
+        # YARP gives a name to whoever asks last, and the program that had it is not even told.
+        if await self.names.exists(name):
+            raise NotConnectedError(
+                f"the YARP port {name} is another program's, perhaps that of a second fleet; stop "
+                "that program, or give the route another name"
+            )
 
 
 @contextlib.asynccontextmanager

@@ -20,10 +20,15 @@ class Redialled(Generic[C]):
         self._closed: asyncio.Task[str] | None = None
         self._lock = asyncio.Lock()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, alive as far as is known."""
+        return self._closed is not None and not self._closed.done()
+
     async def get(self) -> C:
         """Return a connection that was alive a moment ago; raise `TransportError`."""
         async with self._lock:
-            if self._connection is None or self._closed is None or self._closed.done():
+            if self._connection is None or not self.connected:
                 await self._drop()
                 self._connection = await self._dial()
                 self._closed = asyncio.create_task(self._connection.wait_closed())

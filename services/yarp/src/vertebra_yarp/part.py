@@ -74,8 +74,10 @@ class Part(Carried):
     place of an earlier one that is still being waited for.
     """
 
+    kind = "control board"
+
     def __init__(self, kit: Kit, route: ControlBoard) -> None:
-        super().__init__(kit, route.yarp)
+        super().__init__(kit, route.yarp, route.key)
         self.route = route
         self.joints: tuple[board.Joint, ...] = ()
         self.dialect = Dialect.V3
@@ -117,7 +119,7 @@ class Part(Carried):
             await self._stop_running()  # whatever it did when it was lost
             await self._follow_state()
             log.info("%s has the joints %s", self.name, ", ".join(j.name for j in self.joints))
-            self.kit.context.report(self.name, "ok")
+            self.connected()
             presence = self.kit.context.bus.declare_presence(f"@vertebra/parts/{self.route.key}")
             try:
                 self._lost = await self._link.wait_closed()
@@ -316,7 +318,7 @@ class Part(Carried):
         sink.write(Pair(head, Vector.of(values)).encode(self.dialect))
 
     async def _dial_stream(self) -> Any:
-        sender_name = f"{self.kit.context.settings.prefix}/commander{self.name}"
+        sender_name = f"{self.kit.own_name}/commander{self.name}"
         return await self.kit.transport.send_to(f"{self.name}/command:i", sender_name)
 
     async def _need_mode(self, mode: str, indices: Sequence[int]) -> None:
@@ -355,7 +357,7 @@ class Part(Carried):
             if not state.done():
                 state.set_result(JointData.decode(incoming.payload, self.dialect))
 
-        reader_name = f"{self.kit.context.settings.prefix}/glance{self.name}"
+        reader_name = f"{self.kit.own_name}/glance{self.name}"
         link = await self.kit.transport.read(source, reader_name, arrived)
         try:
             async with asyncio.timeout(ANSWER_S):

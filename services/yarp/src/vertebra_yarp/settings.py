@@ -31,7 +31,9 @@ class YarpSettings(ServiceSettings):
         default=True, description="Show every YARP port that no route claims below `yarp/`."
     )
     prefix: str = Field(
-        "/vertebra", description="Our own YARP ports are named below this.", pattern="^/"
+        "",
+        description="Our own YARP names are below this; empty makes one that no other fleet has.",
+        pattern="^(/.*[^/])?$",
     )
 
     def check(self) -> None:

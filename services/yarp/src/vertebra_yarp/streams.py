@@ -6,27 +6,29 @@ import asyncio
 import time
 
 from vertebra.bus import Delivery
-from vertebra.errors import CodecError, DecodeError
+from vertebra.errors import BusyError, CodecError, DecodeError
 from vertebra.messages import Header, Message
-from vertebra.service import MessageReader
+from vertebra.service import MessageReader, Received
 from vertebra.yarp import Incoming, objects
 from vertebra_yarp import mapping
 from vertebra_yarp.carried import ORIGIN, Carried, Kit
+from vertebra_yarp.driver import Writer
 from vertebra_yarp.routes import Stream
 
 
 class InboundStream(Carried):
     """From a YARP output port to a key, connected only while someone subscribes to the key."""
 
+    kind = "inbound stream"
+
     def __init__(self, kit: Kit, route: Stream) -> None:
-        super().__init__(kit, route.yarp)
+        super().__init__(kit, route.yarp, route.key)
         self.route = route
         self._wanted = asyncio.Event()
         self._unwanted = asyncio.Event()
         self._unwanted.set()
         self._publisher = kit.publisher(route)
         self._demand = kit.context.bus.follow_demand(route.key, self._on_wanted)
-        self._count = kit.count(route)
         self._interval_ns = round(1e9 / route.max_rate_hz) if route.max_rate_hz else 0
         self._next_ns = 0
 
@@ -53,9 +55,9 @@ class InboundStream(Carried):
 
     async def _read(self) -> str:
         kit = self.kit
-        reader_name = f"{kit.context.settings.prefix}/reader{self.route.yarp}"
+        reader_name = f"{kit.own_name}/reader{self.route.yarp}"
         link = await kit.transport.read(self.route.yarp, reader_name, self._arrived)
-        kit.context.report(self.name, "ok")
+        self.connected()
         try:
             return await link.wait_closed()
         finally:
@@ -65,16 +67,18 @@ class InboundStream(Carried):
         received_ns = time.time_ns()
         if self._interval_ns:
             if received_ns < self._next_ns:
+                self.traffic.dropped += 1
                 return
             self._next_ns = max(self._next_ns + self._interval_ns, received_ns)
         try:
             message = self.to_message(incoming)
-        except DecodeError:
-            self.kit.refused.inc()
-            raise  # the link counts and logs it
+        except DecodeError as error:
+            self.refuse(error)
+            raise  # the link logs it
         captured_ns = mapping.captured_ns(incoming.envelope, received_ns)
         self._publisher.publish(message, captured_ns=captured_ns, hops=1)
-        self._count()
+        self.traffic.messages += 1
+        self.traffic.bytes += len(incoming.payload)
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the message in what arrived; raise `DecodeError`."""
@@ -90,9 +94,13 @@ class InboundStream(Carried):
 class OutboundStream(Carried):
     """From a key to a YARP output port of ours."""
 
+    kind = "outbound stream"
+
     def __init__(self, kit: Kit, route: Stream) -> None:
-        super().__init__(kit, route.yarp)
+        super().__init__(kit, route.yarp, route.key)
         self.route = route
+        self._interval_s = 1.0 / route.max_rate_hz if route.max_rate_hz else 0.0
+        self._next_s = 0.0
 
     async def work(self) -> None:
         """Open the port, then write what comes."""
@@ -103,30 +111,37 @@ class OutboundStream(Carried):
         writer = await kit.transport.open_writer(
             route.yarp, delivery=route.delivery, depth=route.depth
         )
-        kit.context.report(self.name, "ok")
+        self.connected()
         kept = Delivery(route.delivery, route.depth)
-        count = kit.count(route)
-        interval_s = 1.0 / route.max_rate_hz if route.max_rate_hz else 0.0
-        next_s = 0.0
         try:
             async with kit.context.bus.subscribe(route.key, kept) as subscription:
                 reader = MessageReader(subscription, kit.context.codecs, Message)
                 async for received in reader:
                     # What came from YARP does not go back to YARP: no ring, no doubles.
-                    if received.header.origin.startswith(ORIGIN) or time.monotonic() < next_s:
-                        continue
-                    next_s = time.monotonic() + interval_s
-                    try:
-                        payload = mapping.to_payload(received.message)
-                    except CodecError as error:
-                        kit.refused.inc()
-                        kit.context.report(self.name, "warning", str(error))
-                        continue
-                    writer.write(payload, envelope=_envelope(received.header))
-                    count()
+                    if not received.header.origin.startswith(ORIGIN):
+                        self._send(received, writer)
         finally:
             await writer.close()
         return f"the subscription to {route.key} ended"
+
+    def _send(self, received: Received[Message], writer: Writer) -> None:
+        traffic = self.traffic
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            traffic.dropped += 1
+            return
+        self._next_s = now_s + self._interval_s
+        dropped = writer.sent.dropped
+        try:
+            payload = mapping.to_payload(received.message)
+            writer.write(payload, envelope=_envelope(received.header))
+        except (CodecError, BusyError) as error:
+            self.refuse(error)
+            self.kit.context.report(self.name, "warning", str(error))
+            return
+        traffic.messages += 1
+        traffic.bytes += sum(map(len, payload))
+        traffic.dropped += writer.sent.dropped - dropped
 
 
 def _envelope(header: Header) -> str:
