@@ -41,9 +41,11 @@ async def robot(names: NameClient) -> AsyncIterator[None]:
     settings = SimulatorSettings(name_server=f"{names.host}:{names.tcp_port}")
     bus = MemoryBus(MemoryNetwork())
     service = asyncio.create_task(run_service("simulator", settings, serve_simulator, bus=bus))
-    yield
-    service.cancel()
-    await asyncio.wait([service], timeout=5)
+    try:
+        yield
+    finally:
+        service.cancel()
+        await asyncio.wait([service], timeout=5)
 
 
 async def mirrored(fleet: Fleet, name: str) -> None:
@@ -68,28 +70,25 @@ async def test_two_fleets_read_one_robot_and_each_gets_every_message_once(
             async for received in reading.read("vizzy/head/state", JointState):
                 stamps[name].append(received.header.captured_ns)
 
-        reading = [
-            asyncio.create_task(follow("one", one)),
-            asyncio.create_task(follow("two", two)),
-        ]
-        await eventually(lambda: min(map(len, stamps.values())) > 5)
-        begin = max(taken[0] for taken in stamps.values())
-        count = min(map(len, stamps.values()))
-        await eventually(lambda: min(map(len, stamps.values())) > count + 50)
-        end = min(taken[-1] for taken in stamps.values())
-        same = [[at for at in taken if begin <= at <= end] for taken in stamps.values()]
-        assert same[0] == same[1]
-        assert len(set(same[0])) == len(same[0])
-        readers = {
-            connection.dest
-            for connection in connections_of(await survey(names))
-            if connection.source == "/vizzy/head/state:o"
-        }
-        assert len(readers) == 2
-        assert all(reader.startswith("/vertebra/") for reader in readers)
-        for task in reading:
-            task.cancel()
-        await asyncio.wait(reading)
+        async with asyncio.TaskGroup() as tasks:
+            reading = [
+                tasks.create_task(follow("one", one)),
+                tasks.create_task(follow("two", two)),
+            ]
+            await eventually(lambda: min(map(len, stamps.values())) > 5)
+            begin = max(taken[0] for taken in stamps.values())
+            count = min(map(len, stamps.values()))
+            await eventually(lambda: min(map(len, stamps.values())) > count + 50)
+            end = min(taken[-1] for taken in stamps.values())
+            same = [[at for at in taken if begin <= at <= end] for taken in stamps.values()]
+            assert same[0] == same[1]
+            assert len(set(same[0])) == len(same[0])
+            found = connections_of(await survey(names))
+            readers = {it.dest for it in found if it.source == "/vizzy/head/stateExt:o"}
+            assert len(readers) == 2
+            assert all(reader.startswith("/vertebra/") for reader in readers)
+            for task in reading:
+                task.cancel()
 
 
 async def test_a_port_of_one_fleet_is_mirrored_by_the_other_once_and_never_by_itself(

@@ -60,10 +60,12 @@ async def fleet(
         name_server=f"{names.host}:{names.tcp_port}", routes=routes, prefix=prefix
     )
     service = asyncio.create_task(run_service("yarp", settings, serve, bus=MemoryBus(network)))
-    async with bus.presence("@vertebra/services/yarp/1/alive") as presence:
-        await asyncio.wait_for(anext(presence), 5)
-    yield Fleet(network, bus)
-    service.cancel()
-    await asyncio.wait([service], timeout=5)
-    await bus.close()
+    try:
+        async with bus.presence("@vertebra/services/yarp/1/alive") as presence:
+            await asyncio.wait_for(anext(presence), 5)
+        yield Fleet(network, bus)
+    finally:
+        service.cancel()
+        await asyncio.wait([service], timeout=5)
+        await bus.close()
     assert service.done()

@@ -104,7 +104,7 @@ class Adapter:
             f"{route.yarp}/{leaf}"
             for route in self._explicit
             if isinstance(route, ControlBoard)
-            for leaf in ("state:o", "rpc:i")
+            for leaf in ("state:o", "stateExt:o", "rpc:i", "command:i")
         }
         wanted = {
             name

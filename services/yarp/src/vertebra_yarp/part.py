@@ -142,7 +142,7 @@ class Part(Carried):
 
     async def _follow_state(self) -> None:
         if self._state is None:
-            registered = {contact.name for contact in await self.kit.transport.list_ports()}
+            registered = {contact.name for contact in await self.kit.transport.names.list_ports()}
             extended = f"{self.name}/stateExt:o" in registered
             self._state = PartState(self.kit, self, extended=extended)
             self._state.start()
