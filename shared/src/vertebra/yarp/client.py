@@ -41,7 +41,7 @@ class Reader(ReadingLink):
         connection: Connection,
         source: str,
         carrier: Carrier,
-        dialect: Dialect,
+        dialect: Dialect | None,
         on_data: OnData,
     ) -> None:
         super().__init__(connection, source, carrier.name, dialect)
@@ -61,13 +61,14 @@ class Reader(ReadingLink):
         on_data: OnData,
         reader_name: str,
         carrier: str = "fast_tcp",
-        dialect: Dialect = Dialect.V3,
+        dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
     ) -> Self:
         """Subscribe to the output port `source`, over tcp or fast_tcp.
 
         `reader_name` is how the source lists us; it must be rooted (`/x`) and unique at the
-        source, which closes an older connection of the same name.
+        source, which closes an older connection of the same name. Without a `dialect` each message
+        shows it.
 
         Raises:
             NotConnectedError: `source` is not registered, or nobody listens there.
@@ -122,20 +123,21 @@ class RpcClient(Link):
         names: NameClient,
         *,
         sender: str = "anon_rpc",
-        dialect: Dialect = Dialect.V3,
+        dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
         max_waiting_calls: int = 64,
     ) -> Self:
-        """Dial the RPC port `name` over tcp.
+        """Dial the RPC port `name` over tcp; where `dialect` is None the port is asked for it.
 
         Raises:
             NotConnectedError: `name` is not registered, or nobody listens there.
             DeadlineError: It does not answer.
         """
+        contact = await find(name, names)
         return await cls.dial(
-            await find(name, names),
+            contact,
             sender=sender,
-            dialect=dialect,
+            dialect=dialect or await names.dialects.of(contact),
             limits=limits,
             max_waiting_calls=max_waiting_calls,
         )

@@ -9,12 +9,32 @@ from typing import TypeAlias
 from vertebra.errors import CodecError
 from vertebra.yarp.bottle import Value, decode, encode
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.hints import dialect_of
 from vertebra.yarp.link import Channel, Link, is_power_of_two
 from vertebra.yarp.receiver import Message
 from vertebra.yarp.text import from_text, to_text
-from vertebra.yarp.wire import ACK, TEXT_ACK_LINE, Carrier, text_line
+from vertebra.yarp.wire import ACK, TEXT_ACK_LINE, Buffer, Carrier, text_line
 
 log = logging.getLogger(__name__)
+
+
+class PeerDialect:
+    """What is known of the dialect of one peer.
+
+    Attributes:
+        known: None as long as nothing has shown it.
+    """
+
+    __slots__ = ("known",)
+
+    def __init__(self, known: Dialect | None) -> None:
+        self.known = known
+
+    def of(self, payload: Buffer) -> Dialect:
+        """Return how to read a payload of this peer; what it shows is remembered."""
+        if self.known is None:
+            self.known = dialect_of(payload)
+        return self.known or Dialect.V3
 
 
 class Incoming:
@@ -30,7 +50,7 @@ class Incoming:
     """
 
     __slots__ = (
-        "_dialect",
+        "_peer_dialect",
         "carrier",
         "envelope",
         "payload",
@@ -48,7 +68,7 @@ class Incoming:
         sender_host: str,
         carrier: str,
         reply_wanted: bool,
-        dialect: Dialect,
+        peer_dialect: PeerDialect,
     ) -> None:
         self.payload = payload
         self.envelope = envelope
@@ -56,15 +76,20 @@ class Incoming:
         self.sender_host = sender_host
         self.carrier = carrier
         self.reply_wanted = reply_wanted
-        self._dialect = dialect
+        self._peer_dialect = peer_dialect
+
+    @property
+    def dialect(self) -> Dialect:
+        """How the payload is written."""
+        return self._peer_dialect.of(self.payload)
 
     def bottle(self) -> list[Value]:
-        """Decode the payload as a bottle in the dialect of the port.
+        """Decode the payload as a bottle.
 
         Raises:
             DecodeError: It is not one.
         """
-        return decode(self.payload, self._dialect)
+        return decode(self.payload, self.dialect)
 
 
 Reply: TypeAlias = Sequence[Value] | bytes | None
@@ -80,15 +105,18 @@ OnCall: TypeAlias = Callable[[Incoming], Awaitable[Reply]]
 class ReadingLink(Link):
     """A connection from which we read, and the manners that this takes."""
 
-    def __init__(self, connection: Channel, peer: str, carrier: str, dialect: Dialect) -> None:
+    def __init__(
+        self, connection: Channel, peer: str, carrier: str, dialect: Dialect | None
+    ) -> None:
         super().__init__(connection, peer, carrier)
-        self._dialect = dialect
+        self._peer_dialect = PeerDialect(dialect)
 
     def _incoming(self, message: Message, *, reply_wanted: bool) -> Incoming:
-        payload = message.payload
+        payload, peer_dialect = message.payload, self._peer_dialect
         if isinstance(payload, str):
-            values = from_text(payload, self._dialect)
-            payload = memoryview(encode(values, self._dialect))
+            dialect = peer_dialect.known or Dialect.V3
+            payload = memoryview(encode(from_text(payload, dialect), dialect))
+            peer_dialect = PeerDialect(dialect)  # of these bytes, which are ours
         return Incoming(
             payload,
             envelope=message.envelope,
@@ -96,7 +124,7 @@ class ReadingLink(Link):
             sender_host=self._connection.peer_host,
             carrier=self.carrier,
             reply_wanted=reply_wanted,
-            dialect=self._dialect,
+            peer_dialect=peer_dialect,
         )
 
     def _deliver(self, incoming: Incoming, on_data: OnData) -> None:

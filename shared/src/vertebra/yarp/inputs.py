@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Final
 
 from vertebra.errors import CodecError, DecodeError, EncodeError, VertebraError
 from vertebra.yarp.admin import administer, fail, obey
+from vertebra.yarp.bottle import encode
 from vertebra.yarp.datagrams import (
     DatagramReader,
     group_receiving_socket,
     receiving_socket,
 )
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.hints import dialect_of
 from vertebra.yarp.incoming import (
     Incoming,
     OnCall,
@@ -49,11 +52,17 @@ class Input(ReadingLink):
         self.tcp = Connection(Receiver(board.limits), self._on_event, self._on_lost)
         self.tcp.replies = True
         super().__init__(self.tcp, "", "", board.dialect)
+        self._asking: asyncio.Task[None] | None = None
 
     @property
     def is_silent(self) -> bool:
         """Whether the peer has not chosen a carrier yet."""
         return self._greeted is None
+
+    @property
+    def dialect(self) -> Dialect | None:
+        """What the peer speaks, as far as its messages have shown it."""
+        return self._peer_dialect.known
 
     def drop(self, reason: str) -> None:
         """Begin to end the connection."""
@@ -92,6 +101,9 @@ class Input(ReadingLink):
         self._greeted = greeted
         self._board.replace(self)
         _WELCOMES.get(greeted.carrier, Input._stay)(self, greeted)
+        # Now, because a caller that waits for its reply may not answer questions any more.
+        if self.dialect is None and self._board.on_call is not None and self.peer.startswith("/"):
+            self._asking = self._board.spawn(self._ask_dialect())
 
     def _stay(self, greeted: Greeting) -> None:
         tcp_port = self._board.contact.tcp_port
@@ -166,13 +178,24 @@ class Input(ReadingLink):
         try:
             reply = await answer()
             try:
-                raw = reply_bytes(reply, carrier, self._dialect)
+                raw = reply_bytes(reply, carrier, await self._dialect_for(reply))
             except EncodeError as error:
                 self._lose(error)
-                raw = reply_bytes(fail(str(error)), carrier, self._dialect)
+                raw = reply_bytes(fail(str(error)), carrier, Dialect.V3)
             self._connection.write(raw + acknowledgement(carrier))
         finally:
             self._connection.release()
+
+    async def _ask_dialect(self) -> None:
+        found = await self._board.names.dialects.of_sender(self.peer)
+        self._peer_dialect.known = self._peer_dialect.known or found
+
+    async def _dialect_for(self, reply: Reply) -> Dialect:
+        """Return how to write a reply; waits only where the peer's dialect makes a difference."""
+        if self._asking is not None and self.dialect is None and isinstance(reply, list):
+            if dialect_of(encode(reply, Dialect.V4)) is not None:
+                await asyncio.wait([self._asking])
+        return self.dialect or Dialect.V3
 
     async def _answer(self, incoming: Incoming, on_call: OnCall) -> Reply:
         timeout_s = self._board.limits.reply_timeout_s

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import re
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,13 +14,13 @@ from vertebra.errors import (
     TransportError,
 )
 from vertebra.yarp.bottle import Value
+from vertebra.yarp.exchange import ask
+from vertebra.yarp.probe import DialectFinder
 from vertebra.yarp.text import from_text, to_text
-from vertebra.yarp.wire import TEXT_ACK, TEXT_ACK_LINE, greeting, text_line
 
 END_OF_MESSAGE: Final = "*** end of message"
 CHOOSE_FOR_ME: Final = "..."
 
-_MAX_REPLY_BYTES: Final = 16 * 1024 * 1024
 _NOT_IN_NAMES: Final = re.compile(r"""[\s"'(){}\[\]\\,\x00-\x1f\x7f]""")
 
 
@@ -64,6 +62,7 @@ class NameClient:
     Attributes:
         others: Name servers of further namespaces, asked in turn for names that this one does
             not know; new names go to this one.
+        dialects: What the registered ports speak.
     """
 
     def __init__(self, host: str, tcp_port: int, *, timeout_s: float = 5.0) -> None:
@@ -71,6 +70,7 @@ class NameClient:
         self.tcp_port = tcp_port
         self.timeout_s = timeout_s
         self.others: Sequence[NameClient] = ()
+        self.dialects = DialectFinder(self)
 
     async def query(self, name: str) -> Contact | None:
         """Return where `name` listens, or None when it is not registered."""
@@ -131,7 +131,7 @@ class NameClient:
         if contact is None:
             return False
         try:
-            lines = await _request(contact.host, contact.tcp_port, "a", "[ver]", self.timeout_s)
+            lines = await ask(contact.host, contact.tcp_port, "a", "[ver]", self.timeout_s)
         except TransportError:
             return False
         return any(line.startswith("[ver]") for line in lines)
@@ -143,7 +143,7 @@ class NameClient:
     async def _ask(self, *words: Value) -> list[str]:
         """Return the lines of the reply, without the mark at its end."""
         try:
-            lines = await _request(
+            lines = await ask(
                 self.host, self.tcp_port, "d", " ".join(map(_typed, words)), self.timeout_s
             )
         except NotConnectedError as error:
@@ -180,52 +180,3 @@ def _typed(word: Value) -> str:
     """Return a word as people type it, in quotes only where it needs them."""
     bare = isinstance(word, str) and from_text(word) == [word]
     return str(word) if bare else to_text([word])
-
-
-async def _request(
-    host: str, tcp_port: int, letter: str, payload: str, timeout_s: float
-) -> list[str]:
-    """Send one text_ack message to a YARP port and return the lines before its ack."""
-    where = f"{host}:{tcp_port}"
-    try:
-        async with asyncio.timeout(timeout_s), _stream(host, tcp_port) as (reader, writer):
-            message = greeting(TEXT_ACK, "admin") + text_line(letter) + text_line(payload)
-            writer.write(message)
-            return [line async for line in _lines_before_ack(reader, where)][1:]
-    except TimeoutError:
-        raise DeadlineError(where, timeout_s) from None
-    except OSError as error:
-        raise NotConnectedError(str(error)) from error
-
-
-@contextlib.asynccontextmanager
-async def _stream(
-    host: str, tcp_port: int
-) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    reader, writer = await asyncio.open_connection(host, tcp_port)
-    try:
-        yield reader, writer
-    finally:
-        writer.close()
-        with contextlib.suppress(OSError):  # lost instead of closed: it is over either way
-            await writer.wait_closed()
-
-
-async def _lines_before_ack(reader: asyncio.StreamReader, where: str) -> AsyncIterator[str]:
-    size = 0
-    while True:
-        try:
-            raw = await reader.readline()
-        except ValueError as error:  # longer than the reader's limit
-            raise NotConnectedError(f"{where} sent a line without end: {error}") from error
-        line = raw.decode("utf-8", "surrogateescape").rstrip("\r\n")
-        if size == 0 and raw and not line.startswith("Welcome"):
-            raise NotConnectedError(f"{where} is no YARP port, it answered {line!r:.200}")
-        size += len(raw)
-        if size > _MAX_REPLY_BYTES:
-            raise NotConnectedError(f"{where} answered more than {_MAX_REPLY_BYTES} bytes")
-        if not raw:
-            raise NotConnectedError(f"{where} closed the connection before its answer was complete")
-        if line == TEXT_ACK_LINE:
-            return
-        yield line

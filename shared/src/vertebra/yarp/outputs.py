@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
 
-from vertebra.errors import BusyError, CodecError, DecodeError
-from vertebra.yarp.bottle import decode
+from vertebra.errors import BusyError, CodecError, DecodeError, EncodeError
+from vertebra.yarp.bottle import Value, decode, encode
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.hints import dialect_of
 from vertebra.yarp.link import Channel, Delivery, Link
+from vertebra.yarp.objects import YarpObject, read
 from vertebra.yarp.receiver import Event, Message, Number
 from vertebra.yarp.text import to_text
 from vertebra.yarp.wire import (
@@ -21,55 +24,91 @@ from vertebra.yarp.wire import (
     text_message,
 )
 
+Payload: TypeAlias = Buffer | YarpObject | Sequence[Value]
+"""Bytes that are one serialised object, an object, or the values of a bottle."""
+
 
 class Outgoing:
     """A message on its way to several outputs; each form is made once, where one needs it."""
 
-    __slots__ = (
-        "_buffers",
-        "_dialect",
-        "_envelope",
-        "_max_text_bytes",
-        "_payload",
-        "_text",
-        "size",
-    )
+    __slots__ = ("_command", "_envelope", "_max_text_bytes", "_messages", "_payload", "_texts")
 
-    def __init__(
-        self, payload: Sequence[Buffer], envelope: str, dialect: Dialect, max_text_bytes: int
-    ) -> None:
-        self.size = sum(map(len, payload))
+    def __init__(self, payload: Payload, envelope: str, max_text_bytes: int) -> None:
         self._payload = payload
         self._envelope = envelope
-        self._dialect = dialect
+        self._command = command("D", envelope)
         self._max_text_bytes = max_text_bytes
-        self._buffers = binary_message(command("D", envelope), payload)
-        self._text: bytes | None = None
+        self._messages: dict[Dialect, Form] = {}
+        self._texts: dict[Dialect, Form] = {}
 
-    def buffers(self, carrier: Carrier) -> Iterable[Buffer]:
+    def check(self, first: Dialect | None) -> None:
+        """Raise EncodeError if the payload has no form at all; try the dialect `first` first."""
+        try:
+            self.form(first or Dialect.V3, is_text=False)
+        except EncodeError:
+            # Readers of one dialect need not keep the writer from serving the others.
+            self.form(Dialect.V3 if first is Dialect.V4 else Dialect.V4, is_text=False)
+
+    def form(self, dialect: Dialect, *, is_text: bool) -> Form:
         """Return what goes to the socket.
 
         Raises:
-            CodecError: The payload has no text form, or one that is too long.
+            CodecError: The payload has no such form, or one that is too long.
         """
-        return (self._as_text(),) if carrier.is_text else self._buffers
+        forms = self._texts if is_text else self._messages
+        form = forms.get(dialect)
+        if form is None:
+            make = self._as_text if is_text else self._as_message
+            form = forms[dialect] = make(parts_of(self._payload, dialect), dialect)
+        return form
 
-    def _as_text(self) -> bytes:
-        if self._text is None:
-            if self.size > self._max_text_bytes:
-                raise DecodeError(
-                    f"a payload of {self.size} bytes is not turned into text, the limit "
-                    f"max_text_bytes is {self._max_text_bytes}; use tcp or fast_tcp"
-                )
-            values = decode(b"".join(self._payload), self._dialect)
-            self._text = text_message("D", self._envelope, to_text(values, self._dialect))
-        return self._text
+    def _as_message(self, parts: Sequence[Buffer], _: Dialect) -> Form:
+        return Form(binary_message(self._command, parts), sum(map(len, parts)))
+
+    def _as_text(self, parts: Sequence[Buffer], dialect: Dialect) -> Form:
+        size = sum(map(len, parts))
+        if size > self._max_text_bytes:
+            raise DecodeError(
+                f"a payload of {size} bytes is not turned into text, the limit max_text_bytes is "
+                f"{self._max_text_bytes}; use tcp or fast_tcp"
+            )
+        text = to_text(decode(b"".join(parts), dialect), dialect)
+        return Form((text_message("D", self._envelope, text),), size)
+
+
+class Form(NamedTuple):
+    """A message as one kind of connection carries it, and the size of its payload."""
+
+    buffers: Sequence[Buffer]
+    size: int
+
+
+def parts_of(payload: Payload, dialect: Dialect) -> Sequence[Buffer]:
+    """Return a payload in a dialect, large data not copied.
+
+    Raises:
+        EncodeError: It has no form in this dialect.
+    """
+    if isinstance(payload, YarpObject):
+        return [*map(_octets, payload.encode_parts(dialect))]
+    if isinstance(payload, bytes | bytearray | memoryview):
+        written_in = dialect_of(payload)
+        if written_in in (None, dialect):
+            return [_octets(payload)]
+        payload = read(payload, written_in)
+        return parts_of(payload, dialect)
+    return [encode(payload, dialect)]
+
+
+def _octets(part: Buffer) -> Buffer:
+    return part if isinstance(part, bytes) else memoryview(part).cast("B")
 
 
 class Output(Link):
     """A connection to which a port writes; never blocks, holds at most `depth` messages back.
 
     Attributes:
+        dialect: What the reader speaks; None holds messages back until it is known.
         is_reverse: The reader has dialled us.
     """
 
@@ -79,6 +118,7 @@ class Output(Link):
         peer: str,
         carrier: Carrier,
         modifiers: Sequence[str],
+        dialect: Dialect | None,
         *,
         delivery: Delivery,
         depth: int,
@@ -86,6 +126,7 @@ class Output(Link):
     ) -> None:
         super().__init__(connection, peer, "+".join((carrier.name, *modifiers)))
         self.is_reverse = is_reverse
+        self.dialect = dialect
         self._carrier = carrier
         self._delivery = delivery
         self._waiting: deque[Outgoing] = deque()
@@ -101,7 +142,7 @@ class Output(Link):
         Raises:
             BusyError: The queue is full.
         """
-        if not self._waiting and not self._awaits_ack and self._connection.writable:
+        if not self._waiting and self._ready:
             self._send(message)
             return
         if len(self._waiting) == self._depth:
@@ -111,6 +152,11 @@ class Output(Link):
             self._waiting.popleft()
             self.counters.dropped += 1
         self._waiting.append(message)
+
+    def settle(self, dialect: Dialect) -> None:
+        """Note what the reader speaks, and send what waits."""
+        self.dialect = dialect
+        self._flush()
 
     async def close(self) -> None:
         """Tell the reader, then end the connection; what waits is not sent any more."""
@@ -124,19 +170,23 @@ class Output(Link):
             self._connection.write(farewell)
         self._connection.close(reason)
 
+    @property
+    def _ready(self) -> bool:
+        return not self._awaits_ack and self._connection.writable and self.dialect is not None
+
     def _send(self, message: Outgoing) -> None:
         try:
-            buffers = message.buffers(self._carrier)
+            form = message.form(self.dialect or Dialect.V3, is_text=self._carrier.is_text)
         except CodecError as error:
             self._lose(error)
             return
         self._awaits_ack = self._carrier.acks
-        self._connection.write(*buffers)
+        self._connection.write(*form.buffers)
         self.counters.messages += 1
-        self.counters.bytes += message.size
+        self.counters.bytes += form.size
 
     def _flush(self) -> None:
-        while self._waiting and not self._awaits_ack and self._connection.writable:
+        while self._waiting and self._ready:
             self._send(self._waiting.popleft())
 
     def _on_event(self, event: Event) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Sequence
 from types import TracebackType
 from typing import Final, Self
 
@@ -14,8 +13,9 @@ from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import OnCall, OnData
 from vertebra.yarp.link import Counters, Delivery, Link
 from vertebra.yarp.names import CHOOSE_FOR_ME, Contact, NameClient, check_name
+from vertebra.yarp.outputs import Payload
 from vertebra.yarp.switchboard import Switchboard
-from vertebra.yarp.wire import DEFAULT_LIMITS, Buffer, PeerLimits
+from vertebra.yarp.wire import DEFAULT_LIMITS, PeerLimits
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ class Port:
         bind_host: str = "127.0.0.1",
         advertise_host: str | None = None,
         tcp_port: int = 0,
-        dialect: Dialect = Dialect.V3,
+        dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
         check_registration_s: float = 2.0,
     ) -> Self:
@@ -67,7 +67,7 @@ class Port:
             advertise_host: Address to register; by default `bind_host`, or, where that is a
                 wildcard, the address from which the name server sees us.
             tcp_port: 0 takes any free one.
-            dialect: How numbers are tagged in bottles.
+            dialect: What the peers speak; None finds it out for each of them.
             limits: What peers may cost.
             check_registration_s: Time between two looks whether `name` is still registered.
 
@@ -130,17 +130,18 @@ class Port:
         """Totals over all inputs, closed ones included."""
         return self._board.received
 
-    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
-        """Send one serialised object to all outputs, without waiting.
+    def write(self, payload: Payload, *, envelope: str = "") -> None:
+        """Send an object, the values of a bottle, or bytes to all outputs, without waiting.
 
-        The buffers must not change afterwards: a busy connection sends them later.
+        Each output gets them in the dialect of its reader, bytes too if they are written in the
+        other one. They must not change afterwards: a busy connection sends them later.
 
         Raises:
             BusyError: `delivery` is `queue` and at least one output refused; the others got it.
-            EncodeError: The envelope holds control characters.
+            EncodeError: The payload has no form in any dialect, or the envelope holds control
+                characters.
         """
-        parts = (payload,) if isinstance(payload, bytes) else [*map(_octets, payload)]
-        self._board.write(parts, envelope)
+        self._board.write(payload, envelope)
 
     async def connect(self, dest: str, carrier: str = "fast_tcp") -> Link:
         """Send to the port `dest` from now on, replacing an earlier connection to it.
@@ -234,7 +235,3 @@ class Port:
         if self._listener is not None:
             self._listener.close()
         await self._board.close()
-
-
-def _octets(part: Buffer) -> Buffer:
-    return part if isinstance(part, bytes) else memoryview(part).cast("B")

@@ -26,9 +26,8 @@ from vertebra.yarp.link import (
     is_power_of_two,
 )
 from vertebra.yarp.names import Contact, NameClient
-from vertebra.yarp.outputs import Outgoing, Output
+from vertebra.yarp.outputs import Outgoing, Output, Payload
 from vertebra.yarp.wire import (
-    Buffer,
     Carrier,
     PeerLimits,
     parse_carrier,
@@ -54,7 +53,7 @@ class Switchboard:
         on_call: OnCall | None,
         delivery: Delivery,
         depth: int,
-        dialect: Dialect,
+        dialect: Dialect | None,
         limits: PeerLimits,
     ) -> None:
         self.contact = contact
@@ -100,16 +99,19 @@ class Switchboard:
         """Totals over all outputs, closed ones included."""
         return sum((link.counters for link in self._outputs), self._past_sent)
 
-    def write(self, payload: Sequence[Buffer], envelope: str) -> None:
+    def write(self, payload: Payload, envelope: str) -> None:
         """Offer a message to all outputs.
 
         Raises:
             BusyError: One of them refused it.
-            EncodeError: The envelope holds control characters.
+            EncodeError: The payload has no form in any dialect, or the envelope holds control
+                characters.
         """
-        message = Outgoing(payload, envelope, self.dialect, self.limits.max_text_bytes)
+        outputs = self.outputs
+        message = Outgoing(payload, envelope, self.limits.max_text_bytes)
+        message.check(first=outputs[0].dialect if outputs else self.dialect)
         refused: BusyError | None = None
-        for output in self.outputs:
+        for output in outputs:
             try:
                 output.offer(message)
             except BusyError as error:
@@ -121,9 +123,10 @@ class Switchboard:
         """Dial `dest` and write to it from now on, instead of over an earlier connection."""
         spoken, modifiers = parse_carrier(carrier)
         contact = await find(dest, self.names)
+        dialect = self.dialect or await self.names.dialects.of(contact)
         channel = await self._dialler.open(self.name, contact, spoken, modifiers)
         self.drop_output(dest)
-        output = self._add_output(channel, dest, spoken, modifiers, is_reverse=False)
+        output = self._add_output(channel, dest, spoken, modifiers, dialect, is_reverse=False)
         channel.release()
         if self._closing:  # it was not there to be closed with the others
             output.leave("closed by us")
@@ -178,13 +181,21 @@ class Switchboard:
     def turn_round(self, link: Input, carrier: Carrier, modifiers: Sequence[str]) -> None:
         """Write from now on to a peer that has dialled us."""
         self.forget(link)
-        self._add_output(link.tcp, link.peer, carrier, modifiers, is_reverse=True)
+        output = self._add_output(
+            link.tcp, link.peer, carrier, modifiers, link.dialect, is_reverse=True
+        )
+        if link.dialect is None:
+            self.spawn(self._settle(output))
 
-    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
+    async def _settle(self, output: Output) -> None:
+        output.settle(await self.names.dialects.of_sender(output.peer))
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Run `work` until the port closes."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
 
     async def close(self) -> None:
         """Cancel what runs, take leave from every peer and wait until all are gone."""
@@ -216,6 +227,7 @@ class Switchboard:
         peer: str,
         carrier: Carrier,
         modifiers: Sequence[str],
+        dialect: Dialect | None,
         *,
         is_reverse: bool,
     ) -> Output:
@@ -224,6 +236,7 @@ class Switchboard:
             peer,
             carrier,
             modifiers,
+            dialect,
             delivery=self._delivery,
             depth=self._depth,
             is_reverse=is_reverse,

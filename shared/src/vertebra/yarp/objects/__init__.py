@@ -20,7 +20,8 @@ from __future__ import annotations
 from vertebra.yarp.objects.boards import JointData, JointModes, JointValues, Pair
 from vertebra.yarp.objects.clouds import PointCloud
 from vertebra.yarp.objects.images import DEFAULT_QUANTUM, PIXEL_BYTES, Image, row_bytes
-from vertebra.yarp.objects.kinds import Kind, kind_of
+from vertebra.yarp.objects.kinds import Kind, kind_of, read
+from vertebra.yarp.objects.parts import YarpObject
 from vertebra.yarp.objects.sensors import LaserScan2D, Measurement, SensorData
 from vertebra.yarp.objects.sounds import Sound
 from vertebra.yarp.objects.stamps import Stamp
@@ -44,6 +45,8 @@ __all__ = [
     "Sound",
     "Stamp",
     "Vector",
+    "YarpObject",
     "kind_of",
+    "read",
     "row_bytes",
 ]

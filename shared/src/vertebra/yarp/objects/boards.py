@@ -11,12 +11,20 @@ from vertebra.errors import EncodeError
 from vertebra.yarp import bottle
 from vertebra.yarp.bottle import Buffer, Value, Vocab
 from vertebra.yarp.dialect import INT32, LIST, VOCAB32, Dialect
-from vertebra.yarp.objects.parts import I32, TWO_I32, damage, floats, number_list, vector
+from vertebra.yarp.objects.parts import (
+    I32,
+    TWO_I32,
+    YarpObject,
+    damage,
+    floats,
+    number_list,
+    vector,
+)
 from vertebra.yarp.objects.vectors import Vector
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class Pair(YarpObject):
     """A streamed command: what to do, as a bottle such as `[dpo] 3`, and the numbers for it."""
 
     head: list[Value]
@@ -64,7 +72,7 @@ _FLAGS: Final = {True: b"ok\0\0", False: b"fail"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointData:
+class JointData(YarpObject):
     """What a control board streams on `stateExt:o`; the fields are in the order of the wire.
 
     Positions are in degrees, speeds in degrees per second, and so on. Only YARP 4 carries

@@ -9,13 +9,13 @@ from typing import Final, Self
 from vertebra.errors import EncodeError
 from vertebra.yarp.bottle import Buffer
 from vertebra.yarp.dialect import LIST, Dialect
-from vertebra.yarp.objects.parts import damage, pack
+from vertebra.yarp.objects.parts import YarpObject, damage, pack
 
 _POINT_CLOUD: Final = struct.Struct("<iii?ii")
 
 
 @dataclass(frozen=True, slots=True)
-class PointCloud:
+class PointCloud(YarpObject):
     """Points in space, as C++ structs.
 
     Attributes:
@@ -53,14 +53,6 @@ class PointCloud:
             LIST + dialect.float64, count,
         )  # fmt: skip
         return [header, self.points]
-
-    def encode(self, dialect: Dialect = Dialect.V3) -> bytes:
-        """Return the point cloud in binary.
-
-        Raises:
-            EncodeError: As from `encode_parts`.
-        """
-        return b"".join(self.encode_parts(dialect))
 
     @classmethod
     def decode(cls, payload: Buffer, dialect: Dialect = Dialect.V3) -> Self:

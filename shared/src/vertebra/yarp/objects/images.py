@@ -9,7 +9,7 @@ from typing import Final, Self
 from vertebra.errors import EncodeError
 from vertebra.yarp.bottle import Buffer
 from vertebra.yarp.dialect import BLOB, INT32, LIST, VOCAB32, Dialect
-from vertebra.yarp.objects.parts import damage, pack
+from vertebra.yarp.objects.parts import YarpObject, damage, pack
 
 PIXEL_BYTES: Final = {
     "mono": 1,
@@ -58,7 +58,7 @@ def row_bytes(width: int, pixel_bytes: int, quantum: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Image:
+class Image(YarpObject):
     """A picture with padded rows.
 
     Attributes:
@@ -97,7 +97,7 @@ class Image:
         pixels = memoryview(self.pixels)
         return b"".join([pixels[begin : begin + size] for begin in range(0, len(pixels), padded)])
 
-    def encode_parts(self) -> list[Buffer]:
+    def encode_parts(self, dialect: Dialect = Dialect.V3) -> list[Buffer]:  # noqa: ARG002 -- like the others
         """Return header and pixels, to be sent one after the other; the pixels are not copied.
 
         The bytes are the same in both dialects. The word of the quantum has no flags in its upper
@@ -126,14 +126,6 @@ class Image:
             self.quantum, 0, self.width, self.height, BLOB, size,
         )  # fmt: skip
         return [header, self.pixels]
-
-    def encode(self, dialect: Dialect = Dialect.V3) -> bytes:  # noqa: ARG002 -- like the others
-        """Return the image in binary.
-
-        Raises:
-            EncodeError: As from `encode_parts`.
-        """
-        return b"".join(self.encode_parts())
 
     @classmethod
     def decode(cls, payload: Buffer, dialect: Dialect = Dialect.V3) -> Self:  # noqa: ARG003

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from vertebra.errors import DecodeError
-from vertebra.yarp.bottle import Buffer
+from vertebra.yarp import bottle
+from vertebra.yarp.bottle import Buffer, Value
 from vertebra.yarp.dialect import LIST, Dialect
 from vertebra.yarp.objects.boards import JointData
 from vertebra.yarp.objects.clouds import PointCloud
 from vertebra.yarp.objects.images import Image
-from vertebra.yarp.objects.parts import TWO_I32
+from vertebra.yarp.objects.parts import TWO_I32, YarpObject
 from vertebra.yarp.objects.sensors import SensorData
 from vertebra.yarp.objects.sounds import Sound
 from vertebra.yarp.objects.vectors import Vector
@@ -29,7 +30,7 @@ _KIND_BY_COUNT: Final[dict[int, Kind]] = {
     22: "joint_data",
     24: "joint_data",
 }
-_DECODERS: Final[dict[Kind, Callable[[Buffer, Dialect], object]]] = {
+_DECODERS: Final[dict[Kind, Callable[[Buffer, Dialect], YarpObject]]] = {
     "image": Image.decode,
     "joint_data": JointData.decode,
     "point_cloud": PointCloud.decode,
@@ -62,3 +63,13 @@ def kind_of(payload: Buffer, dialect: Dialect = Dialect.V3) -> Kind:
     except DecodeError:
         return otherwise
     return kind
+
+
+def read(payload: Buffer, dialect: Dialect = Dialect.V3) -> YarpObject | list[Value]:
+    """Return the object in a payload of unknown type, or the values of a bottle.
+
+    Raises:
+        DecodeError: It is neither.
+    """
+    decode = _DECODERS.get(kind_of(payload, dialect))
+    return decode(payload, dialect) if decode else bottle.decode(payload, dialect)

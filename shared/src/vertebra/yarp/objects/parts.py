@@ -17,6 +17,20 @@ I32: Final = struct.Struct("<i")
 TWO_I32: Final = struct.Struct("<ii")
 
 
+class YarpObject:
+    """What a YARP port can send: an object with a form in each dialect."""
+
+    __slots__ = ()
+
+    def encode(self, dialect: Dialect = Dialect.V3) -> bytes:
+        """Return the object in binary; raise EncodeError if it has no such form."""
+        return b"".join(self.encode_parts(dialect))
+
+    def encode_parts(self, dialect: Dialect = Dialect.V3) -> list[Buffer]:
+        """Return what `encode` returns in pieces, to be sent one after the other."""
+        return [self.encode(dialect)]
+
+
 def damage(what: str, reason: str) -> DecodeError:
     """Return the error to raise where bytes are not the object that they should be."""
     return DecodeError(f"not a YARP {what}: {reason}")

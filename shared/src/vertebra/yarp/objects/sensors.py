@@ -10,7 +10,7 @@ from typing import Final, Self
 from vertebra.yarp import bottle
 from vertebra.yarp.bottle import Buffer, Value
 from vertebra.yarp.dialect import INT32, LIST, Dialect
-from vertebra.yarp.objects.parts import TWO_I32, damage, floats, number_list, pack
+from vertebra.yarp.objects.parts import TWO_I32, YarpObject, damage, floats, number_list, pack
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SensorData:
+class SensorData(YarpObject):
     """What a multi-analog-sensors server streams; the fields are in the order of the wire."""
 
     gyroscopes: tuple[Measurement, ...] = ()
@@ -86,7 +86,7 @@ def _measurement(name: str, sensor: Value) -> Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class LaserScan2D:
+class LaserScan2D(YarpObject):
     """One sweep of a laser scanner.
 
     Attributes:

@@ -10,14 +10,14 @@ from typing import Final, Self
 from vertebra.errors import EncodeError
 from vertebra.yarp.bottle import Buffer
 from vertebra.yarp.dialect import INT16, INT32, LIST, Dialect
-from vertebra.yarp.objects.parts import TWO_I32, as_bytes, damage, filled, of_type, pack
+from vertebra.yarp.objects.parts import TWO_I32, YarpObject, as_bytes, damage, filled, of_type, pack
 
 _SOUND: Final = struct.Struct("<12i")
 _NO_MARKERS: Final = TWO_I32.pack(LIST, 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Sound:
+class Sound(YarpObject):
     """A piece of sound in 16-bit samples.
 
     Attributes:

@@ -10,7 +10,7 @@ from typing import Final, Self
 from vertebra.yarp import bottle
 from vertebra.yarp.bottle import Buffer
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.objects.parts import damage
+from vertebra.yarp.objects.parts import YarpObject, damage
 
 _ENVELOPE: Final = re.compile(
     r"\s*([+-]?[0-9]{1,10})\s+([+-]?[0-9.]{1,40}(?:[eE][+-]?[0-9]{1,4})?)\s*"
@@ -18,7 +18,7 @@ _ENVELOPE: Final = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(YarpObject):
     """The count and the time of a message: usually its envelope, sometimes an object itself.
 
     Attributes:

@@ -11,11 +11,11 @@ from typing import Final, Self
 from vertebra.errors import EncodeError
 from vertebra.yarp.bottle import Buffer
 from vertebra.yarp.dialect import INT32, LIST, Dialect
-from vertebra.yarp.objects.parts import damage, floats, pack, read_floats
+from vertebra.yarp.objects.parts import YarpObject, damage, floats, pack, read_floats
 
 
 @dataclass(frozen=True, slots=True)
-class Vector:
+class Vector(YarpObject):
     """A row of float64. The C++ reader refuses an empty one."""
 
     values: array[float]
@@ -40,7 +40,7 @@ class Vector:
 
 
 @dataclass(frozen=True, slots=True)
-class Quaternion:
+class Quaternion(YarpObject):
     """A rotation; YARP sends it as a vector of four."""
 
     w: float
@@ -69,7 +69,7 @@ _MATRIX: Final = struct.Struct("<6i")
 
 
 @dataclass(frozen=True, slots=True)
-class Matrix:
+class Matrix(YarpObject):
     """A matrix of float64, row by row."""
 
     rows: int
