@@ -401,7 +401,7 @@ def write_all(board: Switchboard, raw: bytes, dialled: Carrier | None) -> None:
         if isinstance(event, Message) and event.command[:1] == "D":
             payload = event.payload
             raw_payload = encode(from_text(payload)) if isinstance(payload, str) else payload
-            board.write([raw_payload], event.envelope)
+            board.write(raw_payload, event.envelope)
 
 
 def scripted(raw: bytes) -> list[Value] | None:

@@ -99,8 +99,8 @@ async def test_image_crosses_with_its_stamp(lab: Lab) -> None:
     stamped_ns = time.time_ns() // 1_000_000 * 1_000_000 - 2_000_000_000
     async with await Port.open("/cam", lab.names) as port:
         await eventually(lambda: bool(port.outputs))
-        parts = objects.Image.from_packed("rgb", 16, 16, pixels).encode_parts()
-        port.write(parts, envelope=objects.Stamp(1, stamped_ns / 1e9).to_envelope())
+        image = objects.Image.from_packed("rgb", 16, 16, pixels)
+        port.write(image, envelope=objects.Stamp(1, stamped_ns / 1e9).to_envelope())
         received = await first(reader)
     assert isinstance(received.message, Image)
     assert received.message.pixels.shape == (16, 16, 3)
@@ -125,7 +125,7 @@ async def test_wrong_type_is_refused_and_the_stream_lives(lab: Lab) -> None:
     async with await Port.open("/cam", lab.names, delivery="queue") as port:
         await eventually(lambda: bool(port.outputs))
         port.write(objects.Vector.of([1.0]).encode())
-        port.write(objects.Image.from_packed("mono", 8, 1, bytes(8)).encode_parts())
+        port.write(objects.Image.from_packed("mono", 8, 1, bytes(8)))
         received = await first(reader)
     assert isinstance(received.message, Image)
     assert received.message.pixel_format == "mono8"
@@ -138,7 +138,7 @@ async def test_restarted_robot_comes_back_by_itself(lab: Lab) -> None:
     for _ in range(2):
         async with await Port.open("/cam", lab.names) as port:
             await eventually(lambda port=port: bool(port.outputs))  # type: ignore[misc]
-            port.write(objects.Image.from_packed("mono", 8, 1, bytes(8)).encode_parts())
+            port.write(objects.Image.from_packed("mono", 8, 1, bytes(8)))
             await first(reader)
 
 

@@ -204,7 +204,7 @@ async def test_payloads_of_all_sizes_arrive_whole(
         await Port.open("/out", names) as writer,
     ):
         await writer.connect("/in", carrier)
-        writer.write([memoryview(payload)[:60], payload[60:]])
+        writer.write(payload)
         (got,) = await inbox.wait(1)
         assert bytes(got.payload) == payload
 
@@ -217,7 +217,7 @@ async def test_arrays_are_sent_as_their_bytes(names: NameClient) -> None:
     ):
         await writer.connect("/in")
         array: memoryview[Any] = memoryview(struct.pack("<3d", 1, 2, 3)).cast("d")
-        writer.write([array])
+        writer.write(array)
         (got,) = await inbox.wait(1)
         assert struct.unpack("<3d", got.payload) == (1, 2, 3)
 
@@ -476,9 +476,9 @@ async def test_reading_without_a_port_of_our_own(names: NameClient, carrier: str
         await eventually(lambda: bool(source.outputs))
         assert [(each.peer, each.carrier) for each in source.outputs] == [("/me", carrier)]
         for number in range(10):
-            source.write([encode([number]), bytes(number * 10_000)], envelope=f"{number} 0.5")
+            source.write([number, bytes(number * 10_000)], envelope=f"{number} 0.5")
         got = await inbox.wait(10)
-        assert [len(each.payload) for each in got] == [12 + n * 10_000 for n in range(10)]
+        assert [len(each.payload) for each in got] == [24 + n * 10_000 for n in range(10)]
         assert got[3].envelope == "3 0.5"
         assert got[3].sender == "/out"
         assert reader.counters.messages == 10
@@ -803,7 +803,7 @@ async def test_a_reader_that_does_not_read_slows_nobody(names: NameClient, hello
         reader = await Reader.dial("/out", names, on_data=inbox, reader_name="/me", carrier="tcp")
         await eventually(lambda: len(source.outputs) == 2)
         for number in range(100):
-            source.write([encode([number]), image])
+            source.write([number, image])
             await inbox.wait(number + 1)
         stuck, healthy = source.outputs
         assert (stuck.peer, healthy.peer) == ("/slow", "/me")

@@ -17,12 +17,14 @@ from vertebra.messages import (
     Image,
     Imu,
     JointState,
+    Message,
     Pose,
     Tensor,
     Text,
     item_bytes,
 )
-from vertebra.yarp import Dict, Float32, Int8, Int16, Int64, Value, Vocab, encode, objects
+from vertebra.yarp import Dialect, Dict, Float32, Int8, Int16, Int64, Value, Vocab, encode, objects
+from vertebra.yarp.outputs import parts_of
 from vertebra_yarp.mapping import (
     PIXEL_FORMATS,
     captured_ns,
@@ -58,6 +60,10 @@ bottles: st.SearchStrategy[list[Value]] = st.lists(
     ),
     max_size=6,
 )
+
+
+def raw(message: Message, dialect: Dialect = Dialect.V3) -> bytes:
+    return b"".join(parts_of(to_payload(message), dialect))
 
 
 def types_of(value: object) -> object:
@@ -98,7 +104,7 @@ def test_images_of_every_pixel_format_lose_their_padding_and_nothing_else(
     assert (message.height, message.width) == (height, width)
     assert bytes(message.pixels.data) == b"".join(rows)
 
-    again = to_message(b"".join(to_payload(message)), "Image")
+    again = to_message(raw(message), "Image")
     assert again == message
 
 
@@ -116,7 +122,7 @@ def test_vectors_are_tensors(values: list[float]) -> None:
     message = to_message(payload, "auto")
     assert isinstance(message, Tensor)
     assert message.array.tolist() == values
-    assert b"".join(to_payload(message)) == payload
+    assert raw(message) == payload
 
 
 def test_joint_state_needs_as_many_names_as_values() -> None:
@@ -140,7 +146,7 @@ def test_inertial_vector_survives(roll: float, pitch: float, yaw: float, rest: l
     assert isinstance(message, Imu)
     assert message.orientation_xyzw is not None
     assert math.isclose(math.hypot(*message.orientation_xyzw), 1.0)
-    back = objects.Vector.decode(b"".join(to_payload(message))).values
+    back = objects.Vector.decode(raw(message)).values
     assert list(back[3:]) == rest
     for got, wanted in zip(back[:3], (roll, pitch, yaw), strict=True):
         assert math.isclose(got, wanted, abs_tol=1e-6)
@@ -155,7 +161,7 @@ def test_planar_sound_becomes_interleaved() -> None:
 
 def test_text_is_one_string() -> None:
     assert to_message(encode(["hello"]), "Text") == Text(text="hello")
-    assert b"".join(to_payload(Text(text="hello"))) == encode(["hello"])
+    assert raw(Text(text="hello")) == encode(["hello"])
     with pytest.raises(DecodeError):
         to_message(encode(["a", "b"]), "Text")
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
 
 from vertebra.errors import BusyError
-from vertebra.yarp import Incoming, NameClient, NameServer, Port, Reader, Reply, RpcClient, encode
+from vertebra.yarp import Incoming, NameClient, NameServer, Payload, Port, Reader, Reply, RpcClient
 from vertebra.yarp.objects import Image
 
 from .peer import (
@@ -71,18 +70,18 @@ async def _send_paced(port: Port, stream: Stream, memory: bytearray, order: Orde
         payload = bytes(memory)  # what a port is given must not change: it may be sent later
         if len(stream.shape) == 3:
             height, width, _ = stream.shape
-            parts = Image.from_packed("rgb", width, height, payload).encode_parts()
+            message: Payload = Image.from_packed("rgb", width, height, payload)
         else:
-            parts = [encode([payload])]
-        while not _is_taken(port, parts):
+            message = [payload]
+        while not _is_taken(port, message):
             await asyncio.sleep(0)
         count += 1
     return Sent(count=count, seconds=time.monotonic() - began_s)
 
 
-def _is_taken(port: Port, parts: Sequence[bytes | bytearray | memoryview]) -> bool:
+def _is_taken(port: Port, message: Payload) -> bool:
     try:
-        port.write(parts)
+        port.write(message)
     except BusyError:
         return False
     return True

@@ -152,7 +152,7 @@ class Robot:
                 self._renderer, self._render, self._body.positions, time_s
             )
             image = Image.from_packed("rgb", camera.width, camera.height, pixels)
-            port.write(image.encode_parts(), envelope=stamp)
+            port.write(image, envelope=stamp)
             self._rendered.inc()
 
     def _render(self, positions: list[float], time_s: float) -> bytes:

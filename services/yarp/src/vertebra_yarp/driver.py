@@ -15,13 +15,13 @@ from vertebra.yarp import (
     NameServer,
     OnCall,
     OnData,
+    Payload,
     Port,
     Reader,
     RpcClient,
     Sender,
     Value,
 )
-from vertebra.yarp.wire import Buffer
 
 
 class Connection(Protocol):
@@ -52,7 +52,7 @@ class Caller(Connection, Protocol):
 class Sink(Connection, Protocol):
     """A connection into a YARP input port of somebody else."""
 
-    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
+    def write(self, payload: Payload, *, envelope: str = "") -> None:
         """Send one object, without waiting; see `Sender.write`."""
         ...
 
@@ -69,7 +69,7 @@ class Writer(Protocol):
         """What left, and what was let go."""
         ...
 
-    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
+    def write(self, payload: Payload, *, envelope: str = "") -> None:
         """Send one object to all readers, without waiting; see `Port.write`."""
         ...
 

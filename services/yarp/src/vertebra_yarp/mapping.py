@@ -29,11 +29,11 @@ from vertebra.yarp import (
     Int8,
     Int16,
     Int64,
+    Payload,
     Value,
     Vocab,
     Vocab64,
     decode,
-    encode,
     objects,
 )
 from vertebra.yarp.wire import Buffer
@@ -177,24 +177,24 @@ def _sound(sound: objects.Sound) -> AudioChunk:
     return AudioChunk(samples=Array(samples, "<i2", shape), rate_hz=sound.frequency_hz)
 
 
-def to_payload(message: Message, *, dialect: Dialect = Dialect.V3) -> list[Buffer]:
-    """Return the pieces of the YARP object for `message`; large data is not copied.
+def to_payload(message: Message) -> Payload:
+    """Return the YARP object for `message`, which a port writes in each reader's dialect.
 
     Raises:
         EncodeError: YARP has no object for it.
     """
     if isinstance(message, Image):
-        return _yarp_image(message).encode_parts()
+        return _yarp_image(message)
     if isinstance(message, JointState):
-        return [objects.Vector.of(message.positions_deg).encode(dialect)]
+        return objects.Vector.of(message.positions_deg)
     if isinstance(message, Imu):
-        return [objects.Vector.of(_inertial(message)).encode(dialect)]
+        return objects.Vector.of(_inertial(message))
     if isinstance(message, Tensor):
-        return [_vector(message.array).encode(dialect)]
+        return _vector(message.array)
     if isinstance(message, Bottle):
-        return [encode(values_of(message.values), dialect)]
+        return values_of(message.values)
     if isinstance(message, Text):
-        return [encode([message.text], dialect)]
+        return [message.text]
     raise EncodeError(
         f"YARP has no object for {type(message).__name__}; "
         "send an Image, JointState, Imu, Tensor, Bottle or Text"

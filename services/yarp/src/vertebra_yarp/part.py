@@ -315,7 +315,7 @@ class Part(Carried):
 
     async def _stream_command(self, head: words.Request, values: Sequence[float]) -> None:
         sink = await self._stream.get()
-        sink.write(Pair(head, Vector.of(values)).encode(self.dialect))
+        sink.write(Pair(head, Vector.of(values)))
 
     async def _dial_stream(self) -> Any:
         sender_name = f"{self.kit.own_name}/commander{self.name}"

@@ -82,7 +82,7 @@ class InboundStream(Carried):
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the message in what arrived; raise `DecodeError`."""
-        return mapping.to_message(incoming.payload, self.route.type)
+        return mapping.to_message(incoming.payload, self.route.type, dialect=incoming.dialect)
 
     async def close(self) -> None:
         """End it."""

@@ -31,6 +31,7 @@ from vertebra.yarp.incoming import Incoming, OnCall, OnData, Reply
 from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
 from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.nameserver import NameServer
+from vertebra.yarp.outputs import Payload
 from vertebra.yarp.port import Port
 from vertebra.yarp.sender import Sender
 from vertebra.yarp.text import from_text, is_complete, to_text
@@ -53,6 +54,7 @@ __all__ = [
     "NameServer",
     "OnCall",
     "OnData",
+    "Payload",
     "PeerLimits",
     "Port",
     "PortNotFoundError",

@@ -117,6 +117,8 @@ class ReadingLink(Link):
             dialect = peer_dialect.known or Dialect.V3
             payload = memoryview(encode(from_text(payload, dialect), dialect))
             peer_dialect = PeerDialect(dialect)  # of these bytes, which are ours
+        if reply_wanted:
+            peer_dialect.of(payload)  # our reply is to be in it
         return Incoming(
             payload,
             envelope=message.envelope,

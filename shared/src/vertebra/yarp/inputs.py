@@ -192,9 +192,11 @@ class Input(ReadingLink):
 
     async def _dialect_for(self, reply: Reply) -> Dialect:
         """Return how to write a reply; waits only where the peer's dialect makes a difference."""
-        if self._asking is not None and self.dialect is None and isinstance(reply, list):
-            if dialect_of(encode(reply, Dialect.V4)) is not None:
-                await asyncio.wait([self._asking])
+        asking = self._asking if self.dialect is None else None
+        if asking is not None and not isinstance(reply, bytes | None):
+            differs = dialect_of(encode(reply, Dialect.V4)) is not None
+            if differs:
+                await asyncio.wait([asking])
         return self.dialect or Dialect.V3
 
     async def _answer(self, incoming: Incoming, on_call: OnCall) -> Reply:

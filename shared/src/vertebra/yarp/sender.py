@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from typing import Final, Self
 
 from vertebra.errors import EncodeError
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.link import Connection, Delivery, dial, find
 from vertebra.yarp.names import NameClient, check_name
-from vertebra.yarp.outputs import Outgoing, Output
+from vertebra.yarp.outputs import Outgoing, Output, Payload
 from vertebra.yarp.receiver import Event
-from vertebra.yarp.wire import DEFAULT_LIMITS, FAST_TCP, TCP, Buffer, Carrier, PeerLimits
+from vertebra.yarp.wire import DEFAULT_LIMITS, FAST_TCP, TCP, Carrier, PeerLimits
 
 _CARRIERS: Final = {carrier.name: carrier for carrier in (FAST_TCP, TCP)}
 
@@ -35,7 +34,7 @@ class Sender(Output):
         depth: int,
     ) -> None:
         super().__init__(
-            connection, peer, carrier, (), delivery=delivery, depth=depth, is_reverse=False
+            connection, peer, carrier, (), dialect, delivery=delivery, depth=depth, is_reverse=False
         )
         self._dialect = dialect
         self._taken = asyncio.Event()
@@ -51,14 +50,14 @@ class Sender(Output):
         carrier: str = "fast_tcp",
         delivery: Delivery = "latest",
         depth: int = 16,
-        dialect: Dialect = Dialect.V3,
+        dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
     ) -> Self:
         """Connect to the input port `dest`, over tcp or fast_tcp.
 
         `sender_name` is how `dest` lists us; it must be rooted (`/x`) and unique at `dest`, which
         closes an older connection of the same name. `delivery` and `depth` are those of
-        `Port.open`.
+        `Port.open`. Where `dialect` is None, `dest` is asked for it.
 
         Raises:
             NotConnectedError: `dest` is not registered, or nobody listens there.
@@ -69,21 +68,24 @@ class Sender(Output):
             raise EncodeError(f"cannot send over carrier {carrier!r}; use fast_tcp or tcp")
         spoken = _CARRIERS[carrier]
         contact = await find(dest, names)
+        dialect = dialect or await names.dialects.of(contact)
         connection = await dial(contact, spoken, check_name(sender_name), (), limits)
         sender = cls(connection, dest, spoken, dialect, delivery=delivery, depth=depth)
         connection.release()
         return sender
 
-    def write(self, payload: bytes | Sequence[Buffer], *, envelope: str = "") -> None:
-        """Send one serialised object, without waiting; see `Port.write`.
+    def write(self, payload: Payload, *, envelope: str = "") -> None:
+        """Send an object, the values of a bottle, or bytes, without waiting; see `Port.write`.
 
         Raises:
             BusyError: `delivery` is `queue` and the queue is full.
-            EncodeError: The envelope holds control characters.
+            EncodeError: The payload has no form in the dialect of the port, or the envelope holds
+                control characters.
         """
-        parts = (payload,) if isinstance(payload, bytes) else tuple(payload)
+        message = Outgoing(payload, envelope, max_text_bytes=0)
+        message.form(self._dialect, is_text=False)
         self._taken.clear()
-        self.offer(Outgoing(parts, envelope, self._dialect, max_text_bytes=0))
+        self.offer(message)
         self._note_taken()
 
     async def wait_taken(self) -> bool:

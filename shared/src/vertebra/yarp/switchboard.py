@@ -109,7 +109,8 @@ class Switchboard:
         """
         outputs = self.outputs
         message = Outgoing(payload, envelope, self.limits.max_text_bytes)
-        message.check(first=outputs[0].dialect if outputs else self.dialect)
+        if outputs:
+            message.check(first=outputs[0].dialect)
         refused: BusyError | None = None
         for output in outputs:
             try:
