@@ -281,7 +281,7 @@ async def test_connecting_is_given_up_when_its_caller_is_cancelled(names: NameCl
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.settimeout(TIMEOUT_S)
         await names.register("/mute", host="127.0.0.1", tcp_port=silent.getsockname()[1])
-        async with await Port.open("/out", names) as writer:
+        async with await Port.open("/out", names, dialect=Dialect.V3) as writer:
             connecting = asyncio.create_task(writer.connect("/mute", "tcp"))
             peer, _ = await asyncio.to_thread(silent.accept)
             with peer:
@@ -815,7 +815,7 @@ async def test_a_reader_that_does_not_read_slows_nobody(names: NameClient, hello
 
 async def test_a_queue_refuses_when_it_is_full(names: NameClient) -> None:
     async with (
-        await Port.open("/out", names, delivery="queue", depth=3) as source,
+        await Port.open("/out", names, delivery="queue", depth=3, dialect=Dialect.V3) as source,
         raw_peer(source, greeting(TCP, "/slow")) as slow,
     ):
         await slow.say(reverse_message(), ACK)
@@ -832,7 +832,7 @@ async def test_a_queue_refuses_when_it_is_full(names: NameClient) -> None:
 
 async def test_the_newest_message_waits_for_a_busy_reader(names: NameClient) -> None:
     async with (
-        await Port.open("/out", names) as source,
+        await Port.open("/out", names, dialect=Dialect.V3) as source,
         raw_peer(source, greeting(TCP, "/slow")) as slow,
     ):
         await slow.say(reverse_message(), ACK)

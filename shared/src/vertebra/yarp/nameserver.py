@@ -18,6 +18,7 @@ from vertebra.errors import TransportError, VertebraError
 from vertebra.yarp.addresses import WILDCARDS, address_towards, own_addresses
 from vertebra.yarp.conf import DEFAULT_TCP_PORT, ROOT
 from vertebra.yarp.connections import NoSuchConnectionError, connect, disconnect
+from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.discovery import GROUP, Responder
 from vertebra.yarp.incoming import Incoming, Reply
 from vertebra.yarp.link import PortNotFoundError
@@ -87,6 +88,7 @@ class NameServer:
             bind_host=bind_host,
             advertise_host=advertise_host,
             tcp_port=tcp_port,
+            dialect=Dialect.V3,  # names and int32 are the same in all: nobody need be asked
             limits=replace(limits, max_message_bytes=_MAX_REQUEST_BYTES),
         )
         table.give_tcp_ports_from(port.contact.tcp_port + 2)
