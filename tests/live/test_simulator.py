@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import time
+from array import array
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
@@ -27,11 +28,13 @@ from vertebra.yarp import (
     Port,
     Reader,
     RpcClient,
+    Sender,
     Value,
     Vocab,
+    encode,
     from_text,
 )
-from vertebra.yarp.objects import Image, JointData, Pair, Stamp, Vector
+from vertebra.yarp.objects import Image, JointData, Pair, SensorData, Sound, Stamp, Vector
 from vertebra_simulator.adapter import serve
 from vertebra_simulator.settings import SimulatorSettings
 
@@ -41,11 +44,23 @@ STATUS_KEY = "@vertebra/services/simulator/1/status"
 PORTS = {
     "/vizzy/camera/left",
     "/vizzy/camera/left/rpc",
+    "/vizzy/face/emotions/in",
+    "/vizzy/face/image:o",
+    "/vizzy/gaze/angles:i",
+    "/vizzy/gaze/angles:o",
+    "/vizzy/gaze/mono:i",
+    "/vizzy/gaze/rpc",
+    "/vizzy/gaze/x:o",
+    "/vizzy/gaze/xd:i",
     "/vizzy/head/command:i",
+    "/vizzy/head/inertials/measures:o",
+    "/vizzy/head/inertials/rpc:o",
     "/vizzy/head/rpc:i",
     "/vizzy/head/state:o",
     "/vizzy/head/stateExt:o",
     "/vizzy/imu",
+    "/vizzy/microphone/audio:o",
+    "/vizzy/speaker/audio:i",
 }
 
 
@@ -285,3 +300,77 @@ async def test_it_waits_for_a_name_server_and_survives_its_restart(lab: Lab) -> 
             assert (await ask(client, "[get] [axes]"))[2] == 6
     await reader.close()
     assert "name server" not in (await lab.status()).text
+
+
+async def test_gaze_turns_head_and_eyes(named: Lab) -> None:
+    angles = Ear()
+    reader = await Reader.dial(
+        "/vizzy/gaze/angles:o", named.names, on_data=angles, reader_name="/test/angles"
+    )
+    sender = await Sender.dial("/vizzy/gaze/angles:i", named.names, sender_name="/test/gaze")
+    sender.write(encode(["abs", -20.0, 10.0, 5.0]))
+    await eventually(
+        lambda: (
+            bool(angles.heard)
+            and np.allclose(Vector.decode(angles.heard[-1].payload).values, [-20, 10, 5], atol=0.2)
+        )
+    )
+    sender.write(encode(["sideways", 1.0, 1.0, 1.0]))
+    async with asyncio.timeout(5):
+        while await named.metric("refused") != 1:
+            await asyncio.sleep(0.02)
+    async with await RpcClient.connect("/vizzy/gaze/rpc", named.names) as client:
+        async with asyncio.timeout(5):
+            while await ask(client, "[get] [done]") != [Vocab("ack"), 1]:
+                await asyncio.sleep(0.02)
+        assert await ask(client, "[stop]") == [Vocab("ack")]
+        assert await ask(client, "[nonsense]") == [Vocab("nack")]
+    await sender.close()
+    await reader.close()
+
+
+async def test_microphone_hears_the_speaker_and_the_face_shows_what_it_is_told(named: Lab) -> None:
+    heard, seen = Ear(), Ear()
+    readers = [
+        await Reader.dial(f"/vizzy/{name}", named.names, on_data=ear, reader_name=f"/test/{name}")
+        for name, ear in (("microphone/audio:o", heard), ("face/image:o", seen))
+    ]
+    await heard.hear(1)
+    (neutral,) = await seen.hear(1)
+    speaker = await Sender.dial(
+        "/vizzy/speaker/audio:i", named.names, sender_name="/test/say", carrier="tcp"
+    )
+    tone = array("h", [1000, -1000] * 800)
+    speaker.write(Sound(8000, 1, tone).encode())
+    assert await speaker.wait_taken()
+    await eventually(lambda: any(any(Sound.decode(i.payload).samples) for i in heard.heard))
+    loud = [Sound.decode(i.payload) for i in heard.heard]
+    assert {sound.frequency_hz for sound in loud} == {16000}
+    await heard.hear(2)
+    assert sum(sum(map(abs, Sound.decode(i.payload).samples)) for i in heard.heard) == 3_200_000
+    async with await RpcClient.connect("/vizzy/face/emotions/in", named.names) as client:
+        assert await ask(client, "set all hap") == [Vocab("ok")]
+        assert await ask(client, "set all xyz") == [Vocab("fail")]
+        assert await ask(client, "get all") == [Vocab("fail")]
+    await seen.hear(3)
+    assert bytes(seen.heard[-1].payload) != bytes(neutral.payload)
+    await speaker.close()
+    for reader in readers:
+        await reader.close()
+
+
+async def test_inertials_are_those_of_a_multi_analog_sensors_server(named: Lab) -> None:
+    ear = Ear()
+    reader = await Reader.dial(
+        "/vizzy/head/inertials/measures:o", named.names, on_data=ear, reader_name="/test/imu"
+    )
+    (incoming,) = await ear.hear(1)
+    data = SensorData.decode(incoming.payload)
+    assert data.linear_accelerometers[0].values[2] == pytest.approx(9.81)
+    assert data.magnetometers[0].values[0] == pytest.approx(24e-6)
+    assert (len(data.gyroscopes), len(data.orientations), data.skin_patches) == (1, 1, ())
+    async with await RpcClient.connect("/vizzy/head/inertials/rpc:o", named.names) as client:
+        told = await ask(client, "getMetadata")
+    assert len(told) == 12
+    assert told[0] == [["head_imu", "head", ""]]
+    await reader.close()
