@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from array import array
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,18 @@ from typing import Any
 import pytest
 
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
-from vertebra.codec import CodecRegistry
+from vertebra.codec import ENCODING, CodecRegistry
 from vertebra.errors import RemoteError
-from vertebra.messages import JointCommand, JointState, Message
+from vertebra.messages import (
+    Array,
+    AudioChunk,
+    Header,
+    Image,
+    Imu,
+    JointCommand,
+    JointState,
+    Message,
+)
 from vertebra.service import MessagePublisher, MessageReader, run_service
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
@@ -62,6 +72,13 @@ class Lab:
             self.bus.subscribe(f"vizzy/{key}", Delivery.latest()), self.codecs, wanted
         )
 
+    async def play(self, chunk: AudioChunk) -> Any:
+        payload, encoding = self.codecs.encode(chunk, Header(), encoding=ENCODING)
+        reply = await self.bus.call(
+            "vizzy/speaker/play", bytes(payload), encoding=encoding, timeout_s=5
+        )
+        return json.loads(reply.payload)
+
     def start_robot(self) -> None:
         settings = SimulatorSettings(name_server=f"127.0.0.1:{self.tcp_port}")
         self.robot = asyncio.create_task(
@@ -75,6 +92,9 @@ class Lab:
     async def reached(self) -> None:
         async with self.bus.presence("@vertebra/parts/vizzy/head") as presence:
             await asyncio.wait_for(anext(presence), 10)
+        async with asyncio.timeout(10):  # the last of its ports
+            while await self.names.query("/vizzy/microphone/audio:o") is None:
+                await asyncio.sleep(0.02)
 
 
 @pytest.fixture
@@ -223,6 +243,90 @@ async def test_streamed_commands_move_the_joints_and_bad_ones_are_reported(lab: 
                 break
     metrics = await lab.bus.call("@vertebra/services/yarp/1/metrics", timeout_s=5)
     assert b"vertebra_yarp_refused_total 1.0" in metrics.payload
+
+
+async def test_gaze_turns_to_points_angles_and_pixels_and_says_where_it_looks(lab: Lab) -> None:
+    told = await lab.call("gaze/look", {"azimuth_deg": -15, "elevation_deg": 5})
+    assert told["reached"]
+    assert told["angles_deg"]["azimuth"] == pytest.approx(-15, abs=0.1)
+    assert told["angles_deg"]["elevation"] == pytest.approx(5, abs=0.1)
+    told = await lab.call("gaze/look", {"azimuth_deg": 5, "relative": True})
+    assert told["angles_deg"]["azimuth"] == pytest.approx(-10, abs=0.1)
+    told = await lab.call("gaze/look_at", {"point_m": [1.0, 0.2, 0.1]})
+    assert told["point_m"] == pytest.approx([1.0, 0.2, 0.1], abs=0.02)
+    told = await lab.call("gaze/look_at_pixel", {"u_px": 160, "v_px": 120, "distance_m": 1.0})
+    assert told["reached"]
+    told = await lab.call("gaze/look", {"azimuth_deg": 40, "wait": False})
+    assert not told["reached"]
+    stopped = await lab.call("gaze/stop")
+    assert stopped["angles_deg"]["azimuth"] < 35
+    assert "azimuth_deg" in await lab.refusal("gaze/look", {"azimuth_deg": 400})
+    assert "point_m" in await lab.refusal("gaze/look_at", {"point_m": [1, 2]})
+
+
+async def test_face_shows_expressions_in_words_that_people_know(lab: Lab) -> None:
+    told = await lab.call("face/express", {"expression": "happy"})
+    assert told == {"expression": "happy", "part": "all", "answer": "[ok]"}
+    await lab.call("face/express", {"expression": "surprised", "part": "mouth"})
+    assert "'glad'; known: neutral, happy" in await lab.refusal(
+        "face/express", {"expression": "glad"}
+    )
+    assert "'nose'; known: all, mouth" in await lab.refusal(
+        "face/express", {"expression": "sad", "part": "nose"}
+    )
+    async with asyncio.timeout(5):
+        image = await anext(aiter(lab.read("face/image", Image)))
+    assert isinstance(image.message, Image)
+    assert (image.message.width, image.message.height) == (160, 120)
+
+
+async def test_what_is_played_is_heard(lab: Lab) -> None:
+    microphone = lab.read("microphone", AudioChunk)
+    listening = aiter(microphone)
+    async with asyncio.timeout(5):
+        await anext(listening)
+    samples = array("h", [3000, 1000] * 16_000)  # one second of two channels
+    chunk = AudioChunk(samples=Array(samples, "<i2", (16_000, 2)), rate_hz=16_000)
+    assert await lab.play(chunk) == {"taken": True, "duration_s": 1.0, "rate_hz": 16000}
+    async with asyncio.timeout(5):
+        while max(max((await anext(listening)).message.samples.tolist())) != 3000:  # type: ignore[attr-defined]
+            pass
+    with pytest.raises(RemoteError, match="32 s of sound is longer than 30 s"):
+        await lab.play(AudioChunk(samples=Array(bytes(64_000), "<i2", (32_000, 1)), rate_hz=1000))
+
+
+async def test_sound_that_streams_to_the_speaker_is_heard(lab: Lab) -> None:
+    listening = aiter(lab.read("microphone", AudioChunk))
+    publisher = MessagePublisher(lab.bus, lab.codecs, "vizzy/speaker/audio")
+    async with asyncio.timeout(5):
+        await anext(listening)
+        for _ in range(3):
+            samples = array("h", [500] * 800)
+            publisher.publish(AudioChunk(samples=Array(samples, "<i2", (800, 1)), rate_hz=16_000))
+        while max(max((await anext(listening)).message.samples.tolist())) != 500:  # type: ignore[attr-defined]
+            pass
+
+
+async def test_both_kinds_of_inertial_ports_tell_the_same(lab: Lab) -> None:
+    async with asyncio.timeout(5):
+        old = (await anext(aiter(lab.read("imu", Imu)))).message
+        new = (await anext(aiter(lab.read("head/inertials", Imu)))).message
+    assert isinstance(old, Imu)
+    assert isinstance(new, Imu)
+    assert new.linear_acceleration_m_s2 == pytest.approx(old.linear_acceleration_m_s2)
+    assert new.magnetic_field_ut == pytest.approx(old.magnetic_field_ut)
+    assert new.orientation_xyzw == pytest.approx(old.orientation_xyzw)
+
+
+async def test_devices_that_are_away_say_so(lab: Lab) -> None:
+    await lab.stop_robot()
+    for call, body in {
+        "gaze/look": {"azimuth_deg": 1},
+        "face/express": {"expression": "happy"},
+    }.items():
+        with pytest.raises(RemoteError, match="/vizzy/") as caught:
+            await lab.call(call, body)
+        assert caught.value.kind == "NotConnectedError"
 
 
 async def test_lost_board_says_why_and_comes_back(lab: Lab) -> None:

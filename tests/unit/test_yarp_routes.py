@@ -16,7 +16,7 @@ def test_shipped_routes_are_valid() -> None:
     routes = read_routes(SHIPPED)
     assert ControlBoard(yarp="/vizzy/head", key="vizzy/head") in routes.control_boards
     assert Call(yarp="/vizzy/head/rpc:i", key="vizzy/head/rpc") in routes.calls
-    assert {stream.type for stream in routes.streams} == {"Image", "Imu"}
+    assert {stream.type for stream in routes.streams} == {"Image", "Imu", "auto"}
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "streams:\n", "streams: []\ncalls:\n"])

@@ -13,7 +13,7 @@ from typing import Final
 from vertebra.errors import CommandRefusedError, DeadlineError, DecodeError, NotConnectedError
 from vertebra.service import Context
 from vertebra.yarp import Incoming, NameClient, OnCall, OnData, Port, Value, Vocab
-from vertebra.yarp.objects import Image, Pair, Sound, Stamp, Vector
+from vertebra.yarp.objects import Image, Pair, Sound, Stamp, Vector, YarpObject
 from vertebra_simulator import face, grabber, sound
 from vertebra_simulator.board import ControlBoard
 from vertebra_simulator.body import Body
@@ -99,7 +99,9 @@ class Robot:
             "gaze/xd:i": self._on_gaze_point,
             "gaze/angles:i": lambda incoming: self._gaze.look(incoming.bottle()),
             "gaze/mono:i": lambda incoming: self._gaze.look_at_pixel(incoming.bottle()),
-            "speaker/audio:i": lambda incoming: self._room.play(Sound.decode(incoming.payload)),
+            "speaker/audio:i": lambda incoming: self._room.play(
+                Sound.decode(incoming.payload, incoming.dialect)
+            ),
         }.items():
             await self._open(name, on_data=self._refusing(on_data))
         for name in OUTPUTS:
@@ -155,7 +157,7 @@ class Robot:
         return self._face.answer(incoming.bottle())
 
     def _on_command(self, incoming: Incoming) -> None:
-        command = Pair.decode(incoming.payload)
+        command = Pair.decode(incoming.payload, incoming.dialect)
         self._board.command(command.head, command.body.values)
 
     def _on_gaze_point(self, incoming: Incoming) -> None:
@@ -182,24 +184,24 @@ class Robot:
             self._live()
             for name in STATES:
                 if self._ports[name].outputs:
-                    payload = self._state(name, stamp.time_s)
-                    self._ports[name].write(payload, envelope=stamp.to_envelope())
+                    state = self._state(name, stamp.time_s)
+                    self._ports[name].write(state, envelope=stamp.to_envelope())
 
-    def _state(self, name: str, time_s: float) -> bytes:
+    def _state(self, name: str, time_s: float) -> YarpObject:
         """Return what one of `STATES` streams now."""
         felt = inertial(self._body.positions, self._body.velocities)
         match name:
             case "head/stateExt:o":
-                return self._board.state().encode()
+                return self._board.state()
             case "head/inertials/measures:o":
-                return measurements(felt, time_s).encode()
+                return measurements(felt, time_s)
         vectors: dict[str, Iterable[float]] = {
             "head/state:o": self._body.positions,
             "imu": felt,
             "gaze/x:o": self._gaze.point,
             "gaze/angles:o": self._gaze.angles,
         }
-        return Vector.of(vectors[name]).encode()
+        return Vector.of(vectors[name])
 
     async def stream_images(self) -> None:
         """Show what the camera sees, as long as somebody looks."""
@@ -223,7 +225,7 @@ class Robot:
             if port.outputs:
                 stamp = Stamp(count, time.time()).to_envelope()
                 image = Image.from_packed("rgb", face.WIDTH, face.HEIGHT, self._face.render())
-                port.write(image.encode_parts(), envelope=stamp)
+                port.write(image, envelope=stamp)
 
     async def stream_sound(self) -> None:
         """Let the microphone hear, in real time."""
@@ -231,7 +233,7 @@ class Robot:
         async for count in self._ticks(sound.RATE_HZ / sound.CHUNK):
             heard = self._room.hear()
             if port.outputs:
-                port.write(heard.encode(), envelope=Stamp(count, time.time()).to_envelope())
+                port.write(heard, envelope=Stamp(count, time.time()).to_envelope())
 
     def _render(self, positions: list[float], time_s: float) -> bytes:
         return self._scene.render(camera_rotation(positions), time_s).tobytes()

@@ -16,10 +16,21 @@ from vertebra.service import Context
 from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
 from vertebra_yarp.carried import OWN_NAMES, Carried, Kit
 from vertebra_yarp.desk import Desk
+from vertebra_yarp.devices import Face, Gaze, Speaker
 from vertebra_yarp.driver import Transport, native_driver
 from vertebra_yarp.metrics import RouteMetrics
 from vertebra_yarp.part import Part
-from vertebra_yarp.routes import Call, ControlBoard, Routes, Stream, read_routes
+from vertebra_yarp.routes import (
+    Call,
+    ControlBoard,
+    FaceRoute,
+    GazeRoute,
+    Route,
+    Routes,
+    SpeakerRoute,
+    Stream,
+    read_routes,
+)
 from vertebra_yarp.settings import YarpSettings
 from vertebra_yarp.streams import InboundStream, OutboundStream
 
@@ -61,7 +72,7 @@ class Adapter:
         self.context = context
         self.transport = transport
         self._kit = Kit(context, transport)
-        self._explicit: dict[Stream | Call | ControlBoard, Carried] = {}
+        self._explicit: dict[Route, Carried] = {}
         self._mirrored: dict[str, InboundStream] = {}
         self._served_mirror: Closeable | None = None
         context.metrics.register(RouteMetrics(self._kit.carried))
@@ -99,12 +110,10 @@ class Adapter:
 
     async def _mirror(self, names: set[str]) -> None:
         own = (f"{self._kit.own_name}/", OWN_NAMES)
-        claimed = {route.yarp for route in self._explicit}
-        claimed |= {
-            f"{route.yarp}/{leaf}"
+        claimed = {
+            name
             for route in self._explicit
-            if isinstance(route, ControlBoard)
-            for leaf in ("state:o", "stateExt:o", "rpc:i", "command:i")
+            for name in (route.yarp, *(f"{route.yarp}/{leaf}" for leaf in leaves_of(route)))
         }
         wanted = {
             name
@@ -168,12 +177,30 @@ class Adapter:
             await carried.close()
 
 
-def make(kit: Kit, route: Stream | Call | ControlBoard) -> Carried:
+def make(kit: Kit, route: Route) -> Carried:
     """Return what carries a route."""
-    if isinstance(route, ControlBoard):
-        return Part(kit, route)
-    if isinstance(route, Stream):
-        kind = InboundStream if route.direction == "inbound" else OutboundStream
-        return kind(kit, route)
-    inbound = route.direction == "inbound"
-    return InboundCall(kit, route) if inbound else OutboundCall(kit, route)
+    match route:
+        case ControlBoard():
+            return Part(kit, route)
+        case GazeRoute():
+            return Gaze(kit, route)
+        case FaceRoute():
+            return Face(kit, route)
+        case SpeakerRoute():
+            return Speaker(kit, route)
+        case Stream():
+            inbound = route.direction == "inbound"
+            return InboundStream(kit, route) if inbound else OutboundStream(kit, route)
+        case Call():
+            inbound = route.direction == "inbound"
+            return InboundCall(kit, route) if inbound else OutboundCall(kit, route)
+
+
+def leaves_of(route: Route) -> tuple[str, ...]:
+    """Return the YARP ports below the name of a route that it cares for."""
+    match route:
+        case ControlBoard():
+            return ("state:o", "stateExt:o", "rpc:i", "command:i")
+        case GazeRoute():
+            return ("rpc", "xd:i", "angles:i", "mono:i", "target:i")
+    return ()

@@ -94,6 +94,8 @@ def to_message(
     if wanted == "Image":
         return _image(objects.Image.decode(payload, dialect))
     if wanted == "Imu":
+        if objects.kind_of(payload, dialect) == "sensor_data":
+            return _sensed(objects.SensorData.decode(payload, dialect))
         return _imu(objects.Vector.decode(payload, dialect).values)
     if wanted == "JointState":
         return _joint_state(objects.Vector.decode(payload, dialect).values, names)
@@ -143,19 +145,51 @@ def _imu(values: array[float]) -> Imu:
     """Read the 12 numbers of an `inertial` port (refs: rpy, acceleration, gyro, magnetometer)."""
     if len(values) != _IMU_VALUES:
         raise DecodeError(f"an inertial port streams {_IMU_VALUES} numbers, not {len(values)}")
-    roll, pitch, yaw = (math.radians(angle) / 2 for angle in values[:3])
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
     return Imu(
-        orientation_xyzw=(
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ),
+        orientation_xyzw=_quaternion(values[:3]),
         linear_acceleration_m_s2=(values[3], values[4], values[5]),
         angular_velocity_deg_s=(values[6], values[7], values[8]),
         magnetic_field_ut=(values[9], values[10], values[11]),
+    )
+
+
+def _sensed(data: objects.SensorData) -> Imu:
+    """Read the first sensor of each kind of a multi-analog-sensors server (fields in tesla)."""
+    orientation, acceleration, velocity, field = (
+        _triple(found[0].values) if found else None
+        for found in (
+            data.orientations,
+            data.linear_accelerometers,
+            data.gyroscopes,
+            data.magnetometers,
+        )
+    )
+    if not (orientation or acceleration or velocity or field):
+        raise DecodeError("none of these analog sensors is an IMU")
+    return Imu(
+        orientation_xyzw=orientation and _quaternion(orientation),
+        linear_acceleration_m_s2=acceleration,
+        angular_velocity_deg_s=velocity,
+        magnetic_field_ut=field and (1e6 * field[0], 1e6 * field[1], 1e6 * field[2]),
+    )
+
+
+def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+    if len(values) != 3:
+        raise DecodeError(f"an inertial sensor gives 3 numbers, not {len(values)}")
+    return (values[0], values[1], values[2])
+
+
+def _quaternion(angles_deg: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return x, y, z, w of roll, pitch and yaw."""
+    roll, pitch, yaw = (math.radians(angle) / 2 for angle in angles_deg)
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
     )
 
 

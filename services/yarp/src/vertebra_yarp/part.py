@@ -11,22 +11,22 @@ from typing import Any, Final
 
 import msgspec
 
-from vertebra.bus import Delivery, Reply, Request
+from vertebra.bus import Delivery, Request
 from vertebra.errors import (
     CodecError,
     CommandRefusedError,
-    DeadlineError,
     DecodeError,
     NotConnectedError,
     TransportError,
 )
 from vertebra.messages import JointCommand, Message
 from vertebra.service import MessageReader
-from vertebra.yarp import Dialect, Incoming, PortNotFoundError
+from vertebra.yarp import Dialect, Incoming
 from vertebra.yarp.objects import JointData, Pair, Vector
 from vertebra_yarp import board, mapping, words
-from vertebra_yarp.calls import JSON, RpcLink
-from vertebra_yarp.carried import Carried, Kit
+from vertebra_yarp.calls import RpcLink
+from vertebra_yarp.carried import Kit
+from vertebra_yarp.device import ANSWER_S, Device, Handler
 from vertebra_yarp.links import Redialled
 from vertebra_yarp.routes import ControlBoard, Stream
 from vertebra_yarp.streams import InboundStream
@@ -34,25 +34,30 @@ from vertebra_yarp.velocity import Runner
 
 log = logging.getLogger(__name__)
 
-ANSWER_S: Final = 5.0
 ARRIVED_POLL_S: Final = 0.03
 
 
 class PartState(InboundStream):
-    """The joint state of a control board: all it measures, or the positions alone."""
+    """The joint state of a control board: all it measures if it has `stateExt:o`, or positions."""
 
-    def __init__(self, kit: Kit, part: Part, *, extended: bool) -> None:
+    def __init__(self, kit: Kit, part: Part) -> None:
         self._part = part
-        self._extended = extended
-        route = part.route
-        leaf = "stateExt:o" if extended else "state:o"
+        self._extended = False
         super().__init__(
-            kit, Stream(yarp=f"{route.yarp}/{leaf}", key=f"{route.key}/state", type="JointState")
+            kit,
+            Stream(yarp=f"{part.name}/state:o", key=f"{part.key}/state", type="JointState"),
         )
+
+    async def _read(self) -> str:
+        extended = f"{self._part.name}/stateExt:o"
+        self._extended = await self.kit.transport.names.query(extended) is not None
+        source = extended if self._extended else f"{self._part.name}/state:o"
+        self.route = msgspec.structs.replace(self.route, yarp=source)
+        return await super()._read()
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the joint state; raise `DecodeError`, also before the joints are known."""
-        joints, dialect = self._part.joints, self._part.dialect
+        joints, dialect = self._part.joints, incoming.dialect
         if not self._extended:
             names = [joint.name for joint in joints]
             return mapping.to_message(
@@ -67,7 +72,7 @@ class PartState(InboundStream):
             ) from error
 
 
-class Part(Carried):
+class Part(Device):
     """A control board as a robot part.
 
     Commands take turns: each is checked, then told to the robot as a whole. A command takes the
@@ -77,31 +82,29 @@ class Part(Carried):
     kind = "control board"
 
     def __init__(self, kit: Kit, route: ControlBoard) -> None:
-        super().__init__(kit, route.yarp, route.key)
         self.route = route
         self.joints: tuple[board.Joint, ...] = ()
-        self.dialect = Dialect.V3
-        self._words = words.words_of(self.dialect)
+        self._words = words.words_of(Dialect.V3)
         self._link = RpcLink(kit.transport, f"{route.yarp}/rpc:i")
-        self._stream = Redialled(self._dial_stream)
+        self._stream = Redialled(lambda: self.dial_input(f"{route.yarp}/command:i"))
         self._state: PartState | None = None
         self._turn = asyncio.Lock()
         self._commands = 0
-        self._runner = Runner(self.name, self._turn, self._say_velocity, self._stop_joints)
+        self._runner = Runner(route.yarp, self._turn, self._say_velocity, self._stop_joints)
         self._lost = f"the robot part {route.yarp} has not been reached yet"
-        self._served = [
-            kit.context.bus.serve(f"{route.key}/{name}", self._answering(call))
-            for name, call in {
-                "limits": self._limits,
-                "modes": self._modes,
-                "speeds": self._speeds,
-                "move": self._move,
-                "move_by": self._move_by,
-                "velocity": self._velocity,
-                "direct": self._direct,
-                "stop": self._stop,
-            }.items()
-        ]
+        calls = {
+            "limits": self._limits,
+            "modes": self._modes,
+            "speeds": self._speeds,
+            "move": self._move,
+            "move_by": self._move_by,
+            "velocity": self._velocity,
+            "direct": self._direct,
+            "stop": self._stop,
+        }
+        super().__init__(
+            kit, route.yarp, route.key, {name: self._reached(calls[name]) for name in calls}
+        )
 
     # --- its life ----------------------------------------------------------------------------
 
@@ -113,11 +116,13 @@ class Part(Carried):
 
     async def _connect(self) -> str:
         try:
-            self.dialect = (await self._link.caller()).dialect
-            self._words = words.words_of(self.dialect)
+            self._words = words.words_of((await self._link.caller()).dialect)
             self.joints = tuple([joint async for joint in self._read_joints()])
+            await self._stream.get()
             await self._stop_running()  # whatever it did when it was lost
-            await self._follow_state()
+            if self._state is None:
+                self._state = PartState(self.kit, self)
+                self._state.start()
             log.info("%s has the joints %s", self.name, ", ".join(j.name for j in self.joints))
             self.connected()
             presence = self.kit.context.bus.declare_presence(f"@vertebra/parts/{self.route.key}")
@@ -140,17 +145,8 @@ class Part(Carried):
                 await self._ask(self._words.velocity_limits(index)),
             )
 
-    async def _follow_state(self) -> None:
-        if self._state is None:
-            registered = {contact.name for contact in await self.kit.transport.names.list_ports()}
-            extended = f"{self.name}/stateExt:o" in registered
-            self._state = PartState(self.kit, self, extended=extended)
-            self._state.start()
-
     async def close(self) -> None:
         """End it; joints that run are stopped first."""
-        for served in self._served:
-            served.close()
         with contextlib.suppress(TransportError):  # a board that is lost has no ears
             await self._stop_running()
         await super().close()
@@ -161,17 +157,11 @@ class Part(Carried):
 
     # --- what it is told ---------------------------------------------------------------------
 
-    def _answering(
-        self, call: Callable[[bytes], Awaitable[dict[str, Any]]]
-    ) -> Callable[[Request], Awaitable[Reply]]:
-        async def answer(request: Request) -> Reply:
+    def _reached(self, call: Callable[[bytes], Awaitable[dict[str, Any]]]) -> Handler:
+        async def answer(request: Request) -> dict[str, Any]:
             if not self.joints:
                 raise NotConnectedError(self._lost)
-            try:
-                document = await call(request.payload)
-            except PortNotFoundError as error:  # to the caller it is all the same
-                raise NotConnectedError(str(error)) from error
-            return Reply(payload=msgspec.json.encode(document), encoding=JSON)
+            return await call(request.payload)
 
         return answer
 
@@ -234,7 +224,7 @@ class Part(Carried):
             try:
                 await self._take_command(received.message)
             except (CommandRefusedError, CodecError, TransportError) as error:
-                self.kit.refused.inc()
+                self.refuse(error)
                 context.report(f"{self.name} command", "warning", str(error))
             else:
                 context.report(f"{self.name} command", "ok")
@@ -317,10 +307,6 @@ class Part(Carried):
         sink = await self._stream.get()
         sink.write(Pair(head, Vector.of(values)))
 
-    async def _dial_stream(self) -> Any:
-        sender_name = f"{self.kit.own_name}/commander{self.name}"
-        return await self.kit.transport.send_to(f"{self.name}/command:i", sender_name)
-
     async def _need_mode(self, mode: str, indices: Sequence[int]) -> None:
         """Set a control mode where it is another one; a moving joint would stop if set again."""
         modes = await self._read_modes()
@@ -346,26 +332,10 @@ class Part(Carried):
         request = self._words.modes()
         if request is not None:
             return [*map(str, await self._ask(request))]
-        return [str(word) for word in (await self._read_state()).control_mode.words]
-
-    async def _read_state(self) -> JointData:
-        """Return the next state that streams on `stateExt:o`."""
-        source = f"{self.name}/stateExt:o"
-        state: asyncio.Future[JointData] = asyncio.get_running_loop().create_future()
-
-        def arrived(incoming: Incoming) -> None:
-            if not state.done():
-                state.set_result(JointData.decode(incoming.payload, self.dialect))
-
-        reader_name = f"{self.kit.own_name}/glance{self.name}"
-        link = await self.kit.transport.read(source, reader_name, arrived)
-        try:
-            async with asyncio.timeout(ANSWER_S):
-                return await state
-        except TimeoutError:
-            raise DeadlineError(f"YARP port {source}", ANSWER_S) from None
-        finally:
-            await link.close()
+        state: JointData = await self.glance(
+            f"{self.name}/stateExt:o", lambda got: JointData.decode(got.payload, got.dialect)
+        )
+        return [*map(str, state.control_mode.words)]
 
     def _indices(self, names: Iterable[str]) -> list[int]:
         return board.indices_of(names, self.joints)

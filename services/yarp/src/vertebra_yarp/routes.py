@@ -8,15 +8,34 @@ from typing import Any, Final, Literal
 
 import msgspec
 import yaml
-from msgspec import Struct
+from msgspec import Struct, field
 
 from vertebra.errors import ConfigError, VertebraError
 from vertebra.keys import check_key
+from vertebra.yarp import from_text
 from vertebra.yarp.names import check_name
 
 Direction = Literal["inbound", "outbound"]
+ICUB_EXPRESSIONS: Final = {
+    "neutral": "neu",
+    "happy": "hap",
+    "sad": "sad",
+    "surprised": "sur",
+    "angry": "ang",
+    "evil": "evi",
+    "shy": "shy",
+    "cunning": "cun",
+    "talking": "ta1",
+}
+"""The expressions of iCub's `emotions.ini`."""
+ICUB_PARTS: Final = {
+    "all": "all",
+    "mouth": "mou",
+    "eyelids": "eli",
+    "left_eyebrow": "leb",
+    "right_eyebrow": "reb",
+}
 StreamType = Literal["auto", "Image", "Imu", "JointState", "Tensor", "Bottle", "Text"]
-_KINDS: Final = ("streams", "calls", "control_boards")
 
 
 class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -62,12 +81,80 @@ class ControlBoard(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes:
         yarp: Name of the part, such as `/icub/head`; its ports are `/icub/head/state:o` and so on.
-        key: Where the part is on the backbone: `<key>/state`, and the calls `limits`, `move`,
-            `stop`.
+        key: Where the part is on the backbone: `<key>/state`, the stream of commands
+            `<key>/command`, and the calls `limits`, `modes`, `speeds`, `move`, `move_by`,
+            `velocity`, `direct`, `stop`.
     """
 
     yarp: str
     key: str
+
+
+class GazeRoute(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A gaze controller.
+
+    Attributes:
+        yarp: Its name, such as `/iKinGazeCtrl`, below which its ports are.
+        key: Where it is on the backbone: the calls `<key>/look_at`, `look`, `look_at_pixel`,
+            `stop`.
+        controller: Whose words it understands: `iKinGazeCtrl`, or R1's `cer_gaze-controller`.
+    """
+
+    yarp: str
+    key: str
+    controller: Literal["ikin", "cer"] = "ikin"
+
+
+class FaceRoute(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A face that shows expressions; by default in the words of iCub's `emotionInterface`.
+
+    Attributes:
+        yarp: Its RPC port.
+        key: Where it is on the backbone: the call `<key>/express`.
+        say: What is said to it, as the text of a bottle with `{part}` and `{expression}` in it.
+        expressions: Its words for expressions, by the names that callers use.
+        parts: Its words for parts of the face, likewise; `all` has to be there.
+    """
+
+    yarp: str
+    key: str
+    say: str = "set {part} {expression}"
+    expressions: dict[str, str] = field(default_factory=lambda: {**ICUB_EXPRESSIONS})
+    parts: dict[str, str] = field(default_factory=lambda: {**ICUB_PARTS})
+
+    def __post_init__(self) -> None:
+        if "all" not in self.parts or not self.expressions:
+            raise ValueError("a face has expressions, and among its parts one named all")
+        try:
+            from_text(self.say.format(part="x", expression="y"))
+        except (KeyError, ValueError, IndexError) as error:
+            raise ValueError(f"{self.say!r} is no text with {{part}} and {{expression}}") from error
+
+    def __hash__(self) -> int:
+        return hash((self.yarp, self.key))
+
+
+class SpeakerRoute(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A speaker.
+
+    Attributes:
+        yarp: Its input port, such as `/icub/speaker/audio:i`.
+        key: Where it is on the backbone: the call `<key>/play`, and the stream `<key>/audio`.
+    """
+
+    yarp: str
+    key: str
+
+
+Route = Stream | Call | ControlBoard | GazeRoute | FaceRoute | SpeakerRoute
+_KINDS: Final[dict[str, type[Route]]] = {
+    "streams": Stream,
+    "calls": Call,
+    "control_boards": ControlBoard,
+    "gazes": GazeRoute,
+    "faces": FaceRoute,
+    "speakers": SpeakerRoute,
+}
 
 
 class Routes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -76,11 +163,13 @@ class Routes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     streams: tuple[Stream, ...] = ()
     calls: tuple[Call, ...] = ()
     control_boards: tuple[ControlBoard, ...] = ()
+    gazes: tuple[GazeRoute, ...] = ()
+    faces: tuple[FaceRoute, ...] = ()
+    speakers: tuple[SpeakerRoute, ...] = ()
 
-    def __iter__(self) -> Iterator[Stream | Call | ControlBoard]:
-        yield from self.streams
-        yield from self.calls
-        yield from self.control_boards
+    def __iter__(self) -> Iterator[Route]:
+        for kind in _KINDS:
+            yield from getattr(self, kind)
 
 
 def read_routes(path: Path | None) -> Routes:
@@ -106,13 +195,13 @@ def parse_routes(text: str, where: str) -> Routes:
         raise ConfigError(f"{where} is no YAML: {error}") from error
     if document is None:
         return Routes()
-    if not isinstance(document, dict) or not document.keys() <= set(_KINDS):
+    if not isinstance(document, dict) or not document.keys() <= _KINDS.keys():
         raise ConfigError(f"{where}: expected a map with the keys {', '.join(_KINDS)}")
     found: dict[str, list[Any]] = {kind: [] for kind in _KINDS}
     taken: dict[tuple[str, str], int] = {}
     for kind, item, line in _items(root, document):
         try:
-            route = _route(kind, item)
+            route = msgspec.convert(item, _KINDS[kind])
             check_name(route.yarp)
             check_key(route.key)
         except (msgspec.ValidationError, VertebraError) as error:
@@ -123,20 +212,7 @@ def parse_routes(text: str, where: str) -> Routes:
             if first != line:
                 raise ConfigError(f"{where}:{line}: {claim[1]} has a route in line {first} already")
         found[kind].append(route)
-    return Routes(
-        streams=tuple(found["streams"]),
-        calls=tuple(found["calls"]),
-        control_boards=tuple(found["control_boards"]),
-    )
-
-
-def _route(kind: str, item: Any) -> Stream | Call | ControlBoard:
-    wanted: dict[str, type[Stream | Call | ControlBoard]] = {
-        "streams": Stream,
-        "calls": Call,
-        "control_boards": ControlBoard,
-    }
-    return msgspec.convert(item, wanted[kind])
+    return Routes(**{kind: tuple(routes) for kind, routes in found.items()})
 
 
 def _items(root: yaml.Node | None, document: Mapping[str, Any]) -> Iterator[tuple[str, Any, int]]:
