@@ -830,6 +830,53 @@ async def test_a_queue_refuses_when_it_is_full(names: NameClient) -> None:
         await eventually(lambda: source.sent.messages == 4)
 
 
+async def test_a_queue_sends_some_messages_ahead_of_their_acks(names: NameClient) -> None:
+    async with (
+        await Port.open("/out", names, delivery="queue", depth=30) as source,
+        raw_peer(source, greeting(TCP, "/slow")) as slow,
+    ):
+        await slow.say(reverse_message(), ACK)
+        for number in range(20):
+            source.write(encode([number]))
+        ahead = b"".join(message(encode([number])) for number in range(8))
+        await slow.expect(ahead)
+        assert source.sent.messages == 8
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await slow.reader.read(1)
+        slow.writer.write(ACK * 8)
+        await slow.expect(b"".join(message(encode([number])) for number in range(8, 16)))
+
+
+async def test_who_waits_for_room_loses_nothing(names: NameClient) -> None:
+    inbox = Inbox()
+    async with (
+        await Port.open("/in", names, on_data=inbox),
+        await Port.open("/out", names, delivery="queue", depth=3) as source,
+    ):
+        await source.wait_for_room()  # nobody reads, nobody is waited for
+        await source.connect("/in", "tcp")
+        for number in range(100):
+            await source.wait_for_room()
+            source.write(encode([number]))
+        await inbox.wait(100)
+        assert inbox.bottles == [[number] for number in range(100)]
+
+
+async def test_a_reader_that_goes_is_not_waited_for(names: NameClient) -> None:
+    async with await Port.open("/out", names, delivery="queue", depth=1) as source:
+        async with raw_peer(source, greeting(TCP, "/slow")) as slow:
+            await slow.say(reverse_message(), ACK)
+            source.write(encode([0]))
+            await slow.expect(message(encode([0])))
+            source.write(encode([1]))
+            waiting = asyncio.create_task(source.wait_for_room())
+            await asyncio.sleep(0)
+            assert not waiting.done()
+        async with asyncio.timeout(TIMEOUT_S):
+            await waiting
+
+
 async def test_the_newest_message_waits_for_a_busy_reader(names: NameClient) -> None:
     async with (
         await Port.open("/out", names, dialect=Dialect.V3) as source,

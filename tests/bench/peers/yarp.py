@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 
-from vertebra.errors import BusyError
 from vertebra.yarp import Incoming, NameClient, NameServer, Payload, Port, Reader, Reply, RpcClient
 from vertebra.yarp.objects import Image
 
@@ -24,7 +23,7 @@ from .peer import (
 
 OUTPUT = "/bench/out"
 RPC = "/bench/rpc"
-DEPTH = 8
+DEPTH = 16
 CALL_TIMEOUT_S = 30.0
 
 
@@ -73,18 +72,10 @@ async def _send_paced(port: Port, stream: Stream, memory: bytearray, order: Orde
             message: Payload = Image.from_packed("rgb", width, height, payload)
         else:
             message = [payload]
-        while not _is_taken(port, message):
-            await asyncio.sleep(0)
+        await port.wait_for_room()
+        port.write(message)
         count += 1
     return Sent(count=count, seconds=time.monotonic() - began_s)
-
-
-def _is_taken(port: Port, message: Payload) -> bool:
-    try:
-        port.write(message)
-    except BusyError:
-        return False
-    return True
 
 
 def receive(stream: Stream) -> None:

@@ -91,7 +91,7 @@ class Reader(ReadingLink):
             if letter in ("D", "d"):
                 self._deliver(self._incoming(event, reply_wanted=False), self._on_data)
             if self._ack:
-                self._connection.write(self._ack)
+                self._connection.postpone(self._ack)
             if letter == "q":
                 self._connection.close("closed by the peer")
         elif self._awaits_ack and event == Number(0):

@@ -167,7 +167,7 @@ class Input(ReadingLink):
 
     def _acknowledge(self, carrier: Carrier) -> None:
         if carrier.acks:
-            self._connection.write(acknowledgement(carrier))
+            self._connection.postpone(acknowledgement(carrier))
 
     def _in_order(self, reply: Callable[[], Awaitable[Reply]], carrier: Carrier) -> None:
         """Send a reply when it is there; the next message waits until then."""

@@ -14,6 +14,7 @@ from vertebra.errors import DeadlineError, DecodeError, NotConnectedError
 from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.receiver import Event, Message, Receiver
 from vertebra.yarp.wire import (
+    SMALL_BYTES,
     UNKNOWN_HEADER_ANSWER,
     Buffer,
     Carrier,
@@ -100,6 +101,13 @@ class Channel:
         """Send one message; nothing happens on a channel that ends."""
         raise NotImplementedError
 
+    def postpone(self, *buffers: Buffer) -> None:
+        """Send one message, together with others if it is small; `flush` sends the last of them."""
+        self.write(*buffers)
+
+    def flush(self) -> None:
+        """Send what was postponed; what was taken in events is followed by a `flush`."""
+
     def close(self, reason: str) -> None:
         """End the channel, sending first what was written."""
         raise NotImplementedError
@@ -133,6 +141,7 @@ class Connection(Channel, asyncio.BufferedProtocol):
         self.receiver = receiver
         self._held = False
         self._paused = False
+        self._postponed = bytearray()
         self._ended = False  # the peer sends no more, but may still read
         self._grace: asyncio.TimerHandle | None = None
         self._transport: asyncio.Transport | None = None
@@ -201,13 +210,29 @@ class Connection(Channel, asyncio.BufferedProtocol):
         """Send; nothing happens on a connection that ends."""
         if self._transport is None or self.closing:
             return
+        self.flush()
         for buffer in buffers:
             self._transport.write(buffer)
+
+    def postpone(self, *buffers: Buffer) -> None:
+        """Send one message, together with others if it is small."""
+        if sum(map(len, buffers)) > SMALL_BYTES:
+            self.write(*buffers)
+            return
+        for buffer in buffers:
+            self._postponed += buffer
+
+    def flush(self) -> None:
+        """Send what was postponed."""
+        if self._postponed and self._transport is not None and not self.closing:
+            self._transport.write(bytes(self._postponed))
+            self._postponed.clear()
 
     def close(self, reason: str) -> None:
         """End the connection, sending first what was written."""
         if self.closing:
             return
+        self.flush()
         self.reason = reason
         if self._transport is not None:  # else it is being made, and ends as soon as it is
             self._transport.close()
@@ -241,6 +266,7 @@ class Connection(Channel, asyncio.BufferedProtocol):
             self.refuse(str(error))
         except DecodeError as error:
             self.refuse(str(error))
+        self.flush()
         if self.receiver.full and not self._paused and not self.closing:
             assert self._transport is not None  # noqa: S101 -- it is not closing
             self._paused = True

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
-from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple, TypeAlias
 
 from vertebra.errors import BusyError, CodecError, DecodeError, EncodeError
 from vertebra.yarp.bottle import Value, decode, encode
@@ -26,6 +27,11 @@ from vertebra.yarp.wire import (
 
 Payload: TypeAlias = Buffer | YarpObject | Sequence[Value]
 """Bytes that are one serialised object, an object, or the values of a bottle."""
+
+
+_AHEAD: Final = 8
+"""Messages of a queue that travel before the first of them is acknowledged. Readers take one after
+the other all the same, but do not wait for us in between."""
 
 
 class Outgoing:
@@ -131,7 +137,9 @@ class Output(Link):
         self._delivery = delivery
         self._waiting: deque[Outgoing] = deque()
         self._depth = 1 if delivery == "latest" else depth
-        self._awaits_ack = False
+        self._ahead = 1 if delivery == "latest" else min(depth, _AHEAD)
+        self._unacknowledged = 0
+        self._room = asyncio.Event()
         connection.on_event = self._on_event
         connection.on_writable = self._flush
         connection.replies = False
@@ -142,10 +150,10 @@ class Output(Link):
         Raises:
             BusyError: The queue is full.
         """
-        if not self._waiting and self._ready:
-            self._send(message)
+        if not self._waiting and self._takes_more:
+            self._send(message, self._connection.write)
             return
-        if len(self._waiting) == self._depth:
+        if self._is_full:
             if self._delivery == "queue":
                 self.counters.refused += 1
                 raise BusyError(f"the YARP connection to {self.peer}", self._depth)
@@ -158,6 +166,17 @@ class Output(Link):
         self.dialect = dialect
         self._flush()
 
+    async def wait_for_room(self) -> None:
+        """Wait until `offer` would neither drop nor refuse a message."""
+        while self._is_full and not self.closed:
+            self._room.clear()
+            await self._room.wait()
+
+    def let_go(self) -> None:
+        """Keep nothing for a reader that has gone, and nobody waiting for it."""
+        self._waiting.clear()
+        self._room.set()
+
     async def close(self) -> None:
         """Tell the reader, then end the connection; what waits is not sent any more."""
         self.leave("closed by us")
@@ -165,34 +184,51 @@ class Output(Link):
 
     def leave(self, reason: str) -> None:
         """Begin to end the connection."""
-        self._waiting.clear()
         if farewell := quit_message(self._carrier):
             self._connection.write(farewell)
         self._connection.close(reason)
+        self.let_go()
 
     @property
-    def _ready(self) -> bool:
-        return not self._awaits_ack and self._connection.writable and self.dialect is not None
+    def _backlog(self) -> int:
+        """Messages that wait for the acknowledgement of an earlier one, sent or not."""
+        return len(self._waiting) + max(0, self._unacknowledged - 1)
 
-    def _send(self, message: Outgoing) -> None:
+    @property
+    def _is_full(self) -> bool:
+        return self._backlog >= self._depth
+
+    @property
+    def _takes_more(self) -> bool:
+        return (
+            self._unacknowledged < self._ahead
+            and self._connection.writable
+            and self.dialect is not None
+        )
+
+    def _send(self, message: Outgoing, write: Callable[..., None]) -> None:
         try:
             form = message.form(self.dialect or Dialect.V3, is_text=self._carrier.is_text)
         except CodecError as error:
             self._lose(error)
             return
-        self._awaits_ack = self._carrier.acks
-        self._connection.write(*form.buffers)
+        self._unacknowledged += self._carrier.acks
         self.counters.messages += 1
         self.counters.bytes += form.size
+        write(*form.buffers)
 
     def _flush(self) -> None:
-        while self._waiting and self._ready:
-            self._send(self._waiting.popleft())
+        while self._waiting and self._takes_more:
+            self._send(self._waiting.popleft(), self._connection.postpone)
+        self._connection.flush()
+        if self._backlog <= self._depth // 2:  # so that a writer wakes for several messages
+            self._room.set()
 
     def _on_event(self, event: Event) -> None:
-        if self._awaits_ack and _is_ack(event):
-            self._awaits_ack = False
-            self._flush()
+        if self._unacknowledged and _is_ack(event):
+            self._unacknowledged -= 1
+            if self._unacknowledged <= self._ahead // 2:  # several leave at once, as they came
+                self._flush()
         elif not (isinstance(event, Message) and event.command == ""):
             raise DecodeError(f"{self.peer} reads over {self.carrier}, but sent {event!r:.80}")
 

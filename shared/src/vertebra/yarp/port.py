@@ -143,6 +143,13 @@ class Port:
         """
         self._board.write(payload, envelope)
 
+    async def wait_for_room(self) -> None:
+        """Wait until the next `write` loses nothing: what YARP calls strict writing.
+
+        A reader that takes nothing makes this wait as long as it is connected.
+        """
+        await self._board.wait_for_room()
+
     async def connect(self, dest: str, carrier: str = "fast_tcp") -> Link:
         """Send to the port `dest` from now on, replacing an earlier connection to it.
 

@@ -109,5 +109,5 @@ class Sender(Output):
         self._note_taken()
 
     def _note_taken(self) -> None:
-        if not self._waiting and not self._awaits_ack:
+        if not self._waiting and not self._unacknowledged:
             self._taken.set()

@@ -120,6 +120,11 @@ class Switchboard:
         if refused is not None:
             raise refused
 
+    async def wait_for_room(self) -> None:
+        """Wait until no output would drop or refuse a message."""
+        for output in self.outputs:
+            await output.wait_for_room()
+
     async def connect(self, dest: str, carrier: str) -> Output:
         """Dial `dest` and write to it from now on, instead of over an earlier connection."""
         spoken, modifiers = parse_carrier(carrier)
@@ -245,6 +250,7 @@ class Switchboard:
 
         def on_lost() -> None:
             self._outputs.remove(output)
+            output.let_go()
             self._past_sent += output.counters
             log.info("%s no longer writes to %s: %s", self.name, peer, channel.reason)
 
