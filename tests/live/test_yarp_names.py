@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -377,3 +378,28 @@ async def test_without_any_name_server_it_is_the_usual_place(tmp_path: Path, udp
     env = {"YARP_CONFIG_HOME": str(tmp_path), "YARP_PORT_RANGE": str(udp_port)}
     found = await find_name_server(env, timeout_s=0.1)
     assert (found.host, found.tcp_port) == ("127.0.0.1", udp_port)
+
+
+# --- opening a port ---
+
+
+async def test_a_port_tells_the_server_what_yarps_own_library_tells(names: NameClient) -> None:
+    async with await Port.open("/a", names):
+        offers = await names.get_property("/a", "offers")
+        assert {"tcp", "fast_tcp", "text_ack"} <= {*offers}
+        assert await names.get_property("/a", "accepts") == offers
+        assert "127.0.0.1" in await names.get_property("/a", "ips")
+        assert await names.get_property("/a", "process") == [str(os.getpid())]
+
+
+async def test_users_rename_and_move_ports_by_the_environment(names: NameClient) -> None:
+    tcp_port = free_tcp_port()
+    env = {
+        "YARP_RENAME_a": "/b",
+        "YARP_PORTNUMBER_a": str(tcp_port),
+        "YARP_PORT_PREFIX": "/lab",
+        "YARP_IP": "127.",
+    }
+    async with await Port.open("/a", names, bind_host="0.0.0.0", env=env) as port:
+        assert port.contact == Contact("/lab/b", "tcp", "127.0.0.1", tcp_port)
+        assert await names.query("/lab/b") == port.contact

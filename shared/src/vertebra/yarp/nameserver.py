@@ -90,6 +90,7 @@ class NameServer:
             tcp_port=tcp_port,
             dialect=Dialect.V3,  # names and int32 are the same in all: nobody need be asked
             limits=replace(limits, max_message_bytes=_MAX_REQUEST_BYTES),
+            env={},
         )
         table.give_tcp_ports_from(port.contact.tcp_port + 2)
         table.answer(["set", namespace, "nameserver", "true"], "")

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import socket
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Final, Self
 
 from vertebra.errors import ConfigError, TransportError
+from vertebra.yarp.addresses import advertised_host, own_addresses
+from vertebra.yarp.conf import opened_as
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import OnCall, OnData
 from vertebra.yarp.link import Counters, Delivery, Link
 from vertebra.yarp.names import CHOOSE_FOR_ME, Contact, NameClient, check_name
 from vertebra.yarp.outputs import Payload
 from vertebra.yarp.switchboard import Switchboard
-from vertebra.yarp.wire import DEFAULT_LIMITS, PeerLimits
+from vertebra.yarp.wire import DEFAULT_LIMITS, OUTPUT_CARRIERS, PeerLimits
 
 log = logging.getLogger(__name__)
 
 _FAREWELL_S: Final = 1.0  # closing must not wait for a name server that is gone
-_WILDCARDS: Final = ("", "0.0.0.0", "::")  # noqa: S104 -- compared with, not bound to
 
 
 class Port:
@@ -48,6 +51,7 @@ class Port:
         dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
         check_registration_s: float = 2.0,
+        env: Mapping[str, str] | None = None,
     ) -> Self:
         """Listen, register `name` and keep it registered, also over restarts of the name server.
 
@@ -65,17 +69,21 @@ class Port:
             depth: Messages that may wait for each connection when `delivery` is `queue`.
             bind_host: Interface to listen on.
             advertise_host: Address to register; by default `bind_host`, or, where that is a
-                wildcard, the address from which the name server sees us.
+                wildcard, `YARP_IP` or the address from which the name server sees us.
             tcp_port: 0 takes any free one.
             dialect: What the peers speak; None finds it out for each of them.
             limits: What peers may cost.
             check_registration_s: Time between two looks whether `name` is still registered.
+            env: Where users rename and move ports, see `conf.opened_as`; by default `os.environ`.
 
         Raises:
-            ConfigError: The address cannot be bound.
+            ConfigError: The address cannot be bound, or a variable cannot work.
             NameMappingError: `name` is not a YARP port name.
             NotConnectedError, DeadlineError: The name server does not answer.
         """
+        env = os.environ if env is None else env
+        name, moved_to = opened_as(name, env)
+        tcp_port = moved_to or tcp_port
         if name != CHOOSE_FOR_ME:
             check_name(name)
         board = Switchboard(
@@ -88,9 +96,7 @@ class Port:
             dialect=dialect,
             limits=limits,
         )
-        if advertise_host is None and bind_host not in _WILDCARDS:
-            advertise_host = bind_host
-        port = cls(board, advertise_host)
+        port = cls(board, advertised_host(advertise_host, bind_host, env, own_addresses()))
         try:
             await port._listen(bind_host, tcp_port)
             await port._register()
@@ -214,6 +220,8 @@ class Port:
         self._board.contact = await names.register(
             self.name, host=self._advertise_host, tcp_port=tcp_port
         )
+        for key, values in _properties().items():
+            await names.set_property(self.name, key, *values)
         await names.announce(self.name)
 
     async def _keep_registered(self, interval_s: float) -> None:
@@ -242,3 +250,14 @@ class Port:
         if self._listener is not None:
             self._listener.close()
         await self._board.close()
+
+
+def _properties() -> dict[str, list[str]]:
+    """Return what YARP's own library tells the name server about each port."""
+    carriers = [*OUTPUT_CARRIERS]
+    return {
+        "offers": carriers,
+        "accepts": carriers,
+        "ips": own_addresses(),
+        "process": [str(os.getpid())],
+    }
