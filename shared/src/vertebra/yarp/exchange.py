@@ -13,8 +13,18 @@ from vertebra.yarp.wire import TEXT_ACK, TEXT_ACK_LINE, greeting, text_line
 _MAX_REPLY_BYTES: Final = 16 * 1024 * 1024
 
 
-async def ask(host: str, tcp_port: int, letter: str, payload: str, timeout_s: float) -> list[str]:
+async def ask(
+    host: str,
+    tcp_port: int,
+    letter: str,
+    payload: str | None,
+    timeout_s: float,
+    *,
+    sender: str = "admin",
+) -> list[str]:
     """Send one text_ack message to a YARP port and return the lines before its ack.
+
+    Letters such as `*` have no payload.
 
     Raises:
         NotConnectedError: Nobody listens there, or it is no YARP port.
@@ -23,8 +33,8 @@ async def ask(host: str, tcp_port: int, letter: str, payload: str, timeout_s: fl
     where = f"{host}:{tcp_port}"
     try:
         async with asyncio.timeout(timeout_s), _stream(host, tcp_port) as (reader, writer):
-            message = greeting(TEXT_ACK, "admin") + text_line(letter) + text_line(payload)
-            writer.write(message)
+            lines = (letter,) if payload is None else (letter, payload)
+            writer.write(greeting(TEXT_ACK, sender) + b"".join(map(text_line, lines)))
             return [line async for line in _lines_before_ack(reader, where)][1:]
     except TimeoutError:
         raise DeadlineError(where, timeout_s) from None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from vertebra.errors import (
+    CommandRefusedError,
     DeadlineError,
     NameMappingError,
     NotConnectedError,
@@ -112,6 +113,38 @@ class NameClient:
         """Tell the server that `name` accepts connections from now on."""
         await self._ask("announce", name)
 
+    async def subscribe(self, source: str, dest: str, mode: str = "") -> None:
+        """Have the server connect `source` to `dest` (or `carrier://dest`) whenever both are there.
+
+        With mode `from` or `to` that ends with the source or with the dest.
+
+        Raises:
+            CommandRefusedError: The server does not do it.
+        """
+        reply = await self._ask("subscribe", source, dest, *([mode] if mode else []))
+        if reply != ["[ok]"]:
+            raise CommandRefusedError(
+                f"the {self._server} does not keep the connection from {source} to {dest}: {reply}"
+            )
+
+    async def unsubscribe(self, source: str, dest: str) -> None:
+        """Have the server keep that connection no longer; one that exists stays."""
+        await self._ask("unsubscribe", source, dest)
+
+    async def subscriptions(self, name: str = "") -> list[tuple[str, str]]:
+        """Return source and dest of the connections that the server keeps, of one port or all."""
+        lines = await self._ask("subscribe", *([name] if name else []))
+        found = []
+        for entry in from_text(lines[0])[1:] if lines else []:
+            match entry:
+                case ["subscription", ["src", source], ["dest", dest], *_]:
+                    found.append((str(source), str(dest)))
+        return found
+
+    async def collect_garbage(self) -> str:
+        """Give the server a chance to tidy up, and return what it says."""
+        return "".join(await self._ask("gc"))
+
     async def set_property(self, name: str, key: str, *values: str) -> None:
         """Store a property of a registered port; the server sorts the values."""
         await self._ask("set", name, key, *values)
@@ -180,3 +213,13 @@ def _typed(word: Value) -> str:
     """Return a word as people type it, in quotes only where it needs them."""
     bare = isinstance(word, str) and from_text(word) == [word]
     return str(word) if bare else to_text([word])
+
+
+async def ping(contact: Contact, *, timeout_s: float) -> list[str]:
+    """Return how a YARP port describes itself and its connections, as `yarp ping` shows it.
+
+    Raises:
+        NotConnectedError: Nobody listens there, or it is no YARP port.
+        DeadlineError: It does not answer.
+    """
+    return await ask(contact.host, contact.tcp_port, "*", None, timeout_s, sender="<ping>")
