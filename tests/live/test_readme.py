@@ -17,6 +17,7 @@ from .test_up import ROOT, Up, running
 pytestmark = pytest.mark.live
 
 README: Final = (ROOT / "README.md").read_text(encoding="utf-8")
+README_OF_YARP: Final = (ROOT / "services/yarp/README.md").read_text(encoding="utf-8")
 ELSEWHERE: Final = {
     "up": ("tests/live/test_up.py", '"up"'),
     "containers": ("tests/e2e/conftest.py", "DockerCompose"),
@@ -31,10 +32,12 @@ class Block(NamedTuple):
     text: str
 
 
-BLOCKS: Final = [
-    Block(*match.groups())
-    for match in re.finditer(r"<!-- run: (\w+) -->\n```(\w+)\n(.*?)```", README, re.DOTALL)
-]
+def blocks_of(text: str) -> list[Block]:
+    found = re.finditer(r"<!-- run: (\w+) -->\n```(\w+)\n(.*?)```", text, re.DOTALL)
+    return [Block(*match.groups()) for match in found]
+
+
+BLOCKS: Final = blocks_of(README)
 
 
 def in_fleet(number: int) -> Block:
@@ -102,6 +105,31 @@ def test_shell_commands_show_and_move(desk: tuple[Up, Path]) -> None:
     )
     assert "vizzy/head/state" in said.stdout
     assert '"reached"' in said.stdout
+
+
+def run_yarp(block: Block, up: Up, folder: Path) -> str:
+    """Run YARP's tools, which find the fleet's name server as YARP finds it."""
+    host, _, tcp_port = up.environment["VERTEBRA_YARP_NAME_SERVER_BIND"].rpartition(":")
+    (folder / "yarp.conf").write_text(f"{host} {tcp_port} yarp\n", encoding="utf-8")
+    setting = f"export YARP_CONFIG_HOME={folder}\n"
+    return run(block._replace(text=setting + block.text), up, folder).stdout
+
+
+def test_tools_of_yarp(desk: tuple[Up, Path]) -> None:
+    said = run_yarp(in_fleet(3), *desk)
+    assert "registration name /vizzy/imu ip 127.0.0.1 port " in said
+    assert re.search(r"^\d+ \d+\.\d{4}     -?\d.* -?\d", said, re.MULTILINE)
+    assert "Response: [is] [axes] 6 " in said
+    assert 'This is "/vizzy/camera/left" at "tcp://127.0.0.1:' in said
+
+
+def test_tools_in_the_readme_of_the_yarp_service(desk: tuple[Up, Path]) -> None:
+    (block,) = (block for block in blocks_of(README_OF_YARP) if block.where == "tools")
+    said = run_yarp(block, *desk)
+    assert "registration name /vizzy/head/rpc:i ip" in said
+    assert re.search(r"Response: \[is\] \[encs\] \(", said)
+    assert "Testing /vizzy/imu at tcp://127.0.0.1:" in said
+    assert "removing" not in said
 
 
 def test_python_example_sees_the_camera(desk: tuple[Up, Path]) -> None:
