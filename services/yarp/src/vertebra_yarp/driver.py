@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import AsyncIterator, Sequence
 from typing import Protocol
 
@@ -21,6 +22,7 @@ from vertebra.yarp import (
     RpcClient,
     Sender,
     Value,
+    find_name_server,
 )
 
 
@@ -179,13 +181,17 @@ async def native_driver(
 ) -> AsyncIterator[NativeDriver]:
     """Yield a driver on an external name server, or on the built-in one if `name_server` is empty.
 
+    With `auto` it is the one that YARP programs would use here; see `find_name_server`.
+
     Raises:
         ConfigError: An address is malformed or taken.
     """
     advertised = advertise_host or None
     if name_server:
-        host, tcp_port = split_address(name_server)
-        names = NameClient(host, tcp_port)
+        if name_server == "auto":
+            names = await find_name_server(os.environ)
+        else:
+            names = NameClient(*split_address(name_server))
         yield NativeDriver(names, bind_host=bind_host, advertise_host=advertised)
         return
     host, tcp_port = split_address(serve_names_on)

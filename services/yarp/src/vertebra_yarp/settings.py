@@ -17,7 +17,9 @@ class YarpSettings(ServiceSettings):
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_YARP_")
 
     name_server: str = Field(
-        "", description="host:tcp_port of the lab's yarpserver; empty starts the built-in one."
+        "",
+        description="host:tcp_port of the lab's yarpserver, or auto: as YARP finds it (yarp.conf, "
+        "multicast); empty starts the built-in one.",
     )
     name_server_bind: str = Field(
         "127.0.0.1:10000", description="host:tcp_port on which the built-in name server listens."
