@@ -42,6 +42,9 @@ async def robot(names: NameClient) -> AsyncIterator[None]:
     bus = MemoryBus(MemoryNetwork())
     service = asyncio.create_task(run_service("simulator", settings, serve_simulator, bus=bus))
     try:
+        async with asyncio.timeout(5):
+            while await names.query("/vizzy/imu") is None:  # the last of its ports
+                await asyncio.sleep(0.02)
         yield
     finally:
         service.cancel()

@@ -220,8 +220,9 @@ class Port:
         self._board.contact = await names.register(
             self.name, host=self._advertise_host, tcp_port=tcp_port
         )
-        for key, values in _properties().items():
-            await names.set_property(self.name, key, *values)
+        await asyncio.gather(
+            *(names.set_property(self.name, key, *words) for key, words in _properties().items())
+        )
         await names.announce(self.name)
 
     async def _keep_registered(self, interval_s: float) -> None:
