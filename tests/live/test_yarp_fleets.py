@@ -43,7 +43,7 @@ async def robot(names: NameClient) -> AsyncIterator[None]:
     service = asyncio.create_task(run_service("simulator", settings, serve_simulator, bus=bus))
     try:
         async with asyncio.timeout(5):
-            while await names.query("/vizzy/imu") is None:  # the last of its ports
+            while await names.query("/vizzy/imu") is None:  # it comes after the head
                 await asyncio.sleep(0.02)
         yield
     finally:
