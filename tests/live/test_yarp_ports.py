@@ -421,13 +421,18 @@ async def test_requests_that_a_port_cannot_fulfil(names: NameClient) -> None:
         for request, answer in (
             (
                 b'[add] "shmem://in"',
-                b"-1 \"Cannot connect to shmem://in: cannot send over carrier 'shmem'",
+                b"-1 \"Cannot connect to shmem://in: cannot connect over carrier 'shmem'",
             ),
             (b'[add] "/dead"', b'-1 "Cannot connect to tcp://dead: cannot reach YARP port /dead'),
-            (b'[get] [in] "/nope"', b'-1 "Could not find a connection to or from /nope'),
-            (b'[set] [out] "/nope" (x 1)', b'-1 "Could not find a connection to or from /nope'),
+            (b'[get] [in] "/nope"', b'-1 "Could not find an incoming connection from /nope'),
+            (b'[set] [out] "/nope" (x 1)', b'-1 "Could not find an incoming connection to /nope'),
             (b"[prop] [get] none", b"\r\n<ACK>"),
-            (b"[atch] [out] x", b'[fail] "send [help] for list of valid commands"'),
+            (b"[atch] [out] x", b'[fail] "portmonitor plug-ins are for the C++ library of YARP'),
+            (b"[dtch] x", b'[fail] "detach command must be followed by [out] or [in]"'),
+            (b"[get] x", b'[fail] "get command must be followed by [out] or [in]"'),
+            (b"[get] [in]", b'-1 "target port is not specified.\\r\\n"'),
+            (b"[prop] [get] /nope", b'[fail] "cannot find any connection to/from /nope"'),
+            (b"[prop] [set] /nope (sched ((priority 30)))", b"[fail]"),
             (b"17", b'[fail] "send [help] for list of valid commands"'),
         ):
             await tool.say(b"a\r\n" + request + b"\r\n", answer)
@@ -713,7 +718,7 @@ async def test_a_client_that_does_not_take_its_replies_is_not_served_further(
         raw_peer(port, greeting(TCP, "anon")) as greedy,
     ):
         greedy.writer.write(message(encode([1]), "d") * 100)
-        connection = port._board.inputs[1].tcp
+        connection = [*port._board._inputs][1].tcp
         await eventually(lambda: not connection.writable)
         assert await other.call([2], timeout_s=TIMEOUT_S) == reply
         assert calls < 50  # what the kernel took, and one reply
@@ -727,7 +732,7 @@ async def test_a_client_that_does_not_take_its_acks_is_not_read_further(names: N
         await Port.open("/in", names, on_data=inbox) as port,
         raw_peer(port, greeting(TCP, "anon")) as careless,
     ):
-        connection = port._board.inputs[0].tcp
+        connection = next(iter(port._board._inputs)).tcp
         assert connection._transport is not None
         sock = connection._transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
@@ -1011,7 +1016,7 @@ async def test_a_name_taken_over_by_another_port_is_not_fought_for(
     ("hello", "rubbish", "complaint"),
     [
         (b"", b"HELLO WORLD", "choose no YARP carrier"),
-        (b"", b"GET / HTTP/1.1\r\n\r\n", "carrier http is not spoken here"),
+        (b"", b"GET /?ws HTTP/1.1\r\n\r\n", "carrier websocket is not spoken here"),
         (b"", FAST_TCP.header + struct.pack("<i", 2**31 - 1), "announces a name of 2147483647"),
         (b"", greeting(TCP, "/x", ["recv.bayer"]), "needs the plug-in 'recv.bayer'"),
         (greeting(TCP, "/x"), b"rubbish rubbish", "must begin with a YARP number"),

@@ -24,15 +24,17 @@ from vertebra.yarp.bottle import (
     decode_prefix,
     encode,
 )
-from vertebra.yarp.client import Reader, RpcClient
+from vertebra.yarp.client import RpcClient
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.discovery import find_name_server
 from vertebra.yarp.incoming import Incoming, OnCall, OnData, Reply
 from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
+from vertebra.yarp.mjpeg import JpegCodec, installed_jpeg
 from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.nameserver import NameServer
 from vertebra.yarp.outputs import Payload
 from vertebra.yarp.port import Port
+from vertebra.yarp.reader import Reader
 from vertebra.yarp.sender import Sender
 from vertebra.yarp.text import from_text, is_complete, to_text
 from vertebra.yarp.wire import PeerLimits
@@ -49,6 +51,7 @@ __all__ = [
     "Int8",
     "Int16",
     "Int64",
+    "JpegCodec",
     "Link",
     "NameClient",
     "NameServer",
@@ -70,6 +73,7 @@ __all__ = [
     "encode",
     "find_name_server",
     "from_text",
+    "installed_jpeg",
     "is_complete",
     "to_text",
 ]

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from vertebra.errors import EncodeError, TransportError
+from vertebra.errors import CommandRefusedError, EncodeError, TransportError
 from vertebra.yarp.bottle import Dict, Value, Vocab
 from vertebra.yarp.link import Link, PortNotFoundError
 from vertebra.yarp.wire import CARRIERS
@@ -37,8 +37,20 @@ _HELP: Final = (
     "[prop] [get]            # get all user-defined port properties",
     "[prop] [get] $prop      # get a user-defined port property (prop, val)",
     "[prop] [set] $prop $val # set a user-defined port property (prop, val)",
-    "[get] [in]  $portname   # get carrier parameters of an input",
-    "[get] [out] $portname   # get carrier parameters of an output",
+    "[prop] [get] $portname  # get Qos properties of a connection to/from a port",
+    "[prop] [set] $portname  # set Qos properties of a connection to/from a port",
+    (
+        "[prop] [get] $cur_port  # get information about current process "
+        "(e.g., scheduling priority, pid)"
+    ),
+    (
+        "[prop] [set] $cur_port  # set properties of the current process "
+        "(e.g., scheduling priority, pid)"
+    ),
+    "[atch] [out] $prop      # attach a portmonitor plug-in to the port's output",
+    "[atch] [in]  $prop      # attach a portmonitor plug-in to the port's input",
+    "[dtch] [out]            # detach portmonitor plug-in from the port's output",
+    "[dtch] [in]             # detach portmonitor plug-in from the port's input",
 )
 
 TEXT_HELP: Final = (
@@ -84,13 +96,17 @@ async def administer(board: Switchboard, request: Sequence[Value]) -> list[Value
         case ["prop", "get", *key]:
             return _property(board, *key)
         case ["prop", "set", key] if len(request) > 3:
-            return _set_property(board, key, request[3])
-        case ["get", direction, peer]:
-            return [Dict()] if _named(_links(board, direction), peer) else _said(*_no_link(peer))
-        case ["set", direction, peer]:
-            if _named(_links(board, direction), peer):
-                return _said(True, f"Configured connection from {peer}\r\n")  # noqa: FBT003
-            return _said(*_no_link(peer))
+            return _set_property(board, key, request[3:])
+        case ["get" | "set" as verb, "in" | "out" as direction, *peer]:
+            return _parameters(board, verb, direction, *peer)
+        case ["get" | "set" as verb, *_]:
+            return fail(f"{verb} command must be followed by [out] or [in]")
+        case ["atch" | "dtch", "in" | "out", *_]:
+            return fail("portmonitor plug-ins are for the C++ library of YARP; there are none here")
+        case ["atch", *_]:
+            return fail("attach command must be followed by [out] or [in]")
+        case ["dtch", *_]:
+            return fail("detach command must be followed by [out] or [in]")
     return fail("send [help] for list of valid commands")
 
 
@@ -131,6 +147,8 @@ async def connect(board: Switchboard, dest: str, carrier: str = "") -> tuple[boo
     target = f"{carrier}:/{name}"
     try:
         await board.connect(name, carrier)
+    except CommandRefusedError as error:
+        return False, f"{error}\r\n"
     except EncodeError as error:
         return False, f"Cannot connect to {target}: {error}\r\n"
     except PortNotFoundError:
@@ -183,8 +201,16 @@ def _named(links: Sequence[Link], peer: str) -> Link | None:
     return next((link for link in links if link.peer == peer), None)
 
 
-def _no_link(peer: str) -> tuple[bool, str]:
-    return False, f"Could not find a connection to or from {peer}\r\n"
+def _parameters(board: Switchboard, verb: str, direction: str, peer: str = "") -> list[Value]:
+    """Answer for the parameters of a carrier; ours have none."""
+    word = "from" if direction == "in" else "to"
+    if not peer:
+        return [-1, "target port is not specified.\r\n"]
+    if peer == board.name:
+        return fail("no portmonitor plug-in is attached")
+    if not _named(_links(board, direction), peer):
+        return [-1, f"Could not find an incoming connection {word} {peer}\r\n"]
+    return [Dict()] if verb == "get" else [0, f"Configured connection {word} {peer}\r\n"]
 
 
 def _details(board: Switchboard, direction: str, peer: str) -> list[Value]:
@@ -209,19 +235,25 @@ def _property(board: Switchboard, key: str = "") -> list[Value]:
     if _named([*board.inputs, *board.outputs], key):
         unknown: list[Value] = [["policy", -1], ["priority", -1], ["tid", -1]]
         return [["sched", Dict(unknown)], ["qos", Dict([["tos", 0]])]]
+    if key.startswith("/"):
+        return fail(f"cannot find any connection to/from {key}")
     return [board.properties[key]] if key in board.properties else []
 
 
-def _set_property(board: Switchboard, key: str, value: Value) -> list[Value]:
+def _set_property(board: Switchboard, key: str, values: Sequence[Value]) -> list[Value]:
+    if key.startswith("/"):
+        # Scheduling and QoS of threads and sockets that ours do not have one by one.
+        return [Vocab("fail")]
     if key not in board.properties and len(board.properties) == _MAX_PROPERTIES:
         return fail(f"a port keeps at most {_MAX_PROPERTIES} properties")
-    board.properties[key] = value
+    board.properties[key] = values[0]
     return [Vocab("ok")]
 
 
 def _process(board: Switchboard) -> list[Value]:
     # Without the arguments: who can reach the port need not know them.
     scheduling: list[Value] = [["policy", 0], ["priority", 0]]
+    is_input = int(board.on_data is not None or board.on_call is not None)
     is_rpc = int(board.on_call is not None)
     return [
         ["sched", Dict([*scheduling, ["tid", threading.get_native_id()]])],
@@ -231,5 +263,9 @@ def _process(board: Switchboard) -> list[Value]:
                   *scheduling]),
         ],
         ["platform", Dict([["hostname", platform.node()], ["os", platform.system()]])],
-        ["port", Dict([["is_input", 1], ["is_output", 1], ["is_rpc", is_rpc], ["type", ""]])],
+        [
+            "port",
+            Dict([["is_input", is_input], ["is_output", int(board.sends)], ["is_rpc", is_rpc],
+                  ["type", ""]]),
+        ],
     ]  # fmt: skip

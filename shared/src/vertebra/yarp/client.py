@@ -1,103 +1,26 @@
-"""Clients that need no port of their own: read any output port, call any RPC port."""
+"""Calls to any RPC port, and administration of any port, without a port of our own."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Final, Self
+from typing import Self
 
-from vertebra.errors import BusyError, DeadlineError, DecodeError, EncodeError, NotConnectedError
+from vertebra.errors import BusyError, DeadlineError, DecodeError, NotConnectedError
 from vertebra.yarp.bottle import Value, encode
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.incoming import OnData, ReadingLink, acknowledgement
 from vertebra.yarp.link import Connection, Link, dial, find
-from vertebra.yarp.names import Contact, NameClient, check_name
-from vertebra.yarp.receiver import CallReply, Event, Message, Number
+from vertebra.yarp.names import Contact, NameClient
+from vertebra.yarp.receiver import CallReply, Event
 from vertebra.yarp.wire import (
     DEFAULT_LIMITS,
-    FAST_TCP,
     TCP,
-    Carrier,
     PeerLimits,
     binary_message,
     command,
     quit_message,
-    reverse_message,
 )
-
-_READER_CARRIERS: Final = {carrier.name: carrier for carrier in (FAST_TCP, TCP)}
-
-
-class Reader(ReadingLink):
-    """A subscription to an output port, made by dialling it (reverse connection).
-
-    Nothing is registered and nothing listens on our side. When the source goes away,
-    `wait_closed` returns; dialling again is up to the caller.
-    """
-
-    def __init__(
-        self,
-        connection: Connection,
-        source: str,
-        carrier: Carrier,
-        dialect: Dialect | None,
-        on_data: OnData,
-    ) -> None:
-        super().__init__(connection, source, carrier.name, dialect)
-        self._ack = acknowledgement(carrier)
-        self._awaits_ack = carrier.acks
-        self._on_data = on_data
-        connection.on_event = self._on_event
-        connection.on_lost = None
-        connection.replies = True
-
-    @classmethod
-    async def dial(
-        cls,
-        source: str,
-        names: NameClient,
-        *,
-        on_data: OnData,
-        reader_name: str,
-        carrier: str = "fast_tcp",
-        dialect: Dialect | None = None,
-        limits: PeerLimits = DEFAULT_LIMITS,
-    ) -> Self:
-        """Subscribe to the output port `source`, over tcp or fast_tcp.
-
-        `reader_name` is how the source lists us; it must be rooted (`/x`) and unique at the
-        source, which closes an older connection of the same name. Without a `dialect` each message
-        shows it.
-
-        Raises:
-            NotConnectedError: `source` is not registered, or nobody listens there.
-            DeadlineError: It does not answer.
-            EncodeError: `carrier` is another one.
-        """
-        if carrier not in _READER_CARRIERS:
-            raise EncodeError(f"cannot read over carrier {carrier!r}; use fast_tcp or tcp")
-        spoken = _READER_CARRIERS[carrier]
-        contact = await find(source, names)
-        connection = await dial(contact, spoken, check_name(reader_name), (), limits)
-        reader = cls(connection, source, spoken, dialect, on_data)
-        connection.write(reverse_message())
-        connection.release()
-        return reader
-
-    def _on_event(self, event: Event) -> None:
-        if isinstance(event, Message):
-            letter = event.command[:1]
-            if letter in ("D", "d"):
-                self._deliver(self._incoming(event, reply_wanted=False), self._on_data)
-            if self._ack:
-                self._connection.postpone(self._ack)
-            if letter == "q":
-                self._connection.close("closed by the peer")
-        elif self._awaits_ack and event == Number(0):
-            self._awaits_ack = False  # of our request; from now on the acks are ours
-        else:
-            raise DecodeError(f"{self.peer} sent {event} where a message should be")
 
 
 class RpcClient(Link):

@@ -7,11 +7,13 @@ from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 from typing import Final
 
-from vertebra.errors import NotConnectedError
+from vertebra.errors import NotConnectedError, TransportError
 from vertebra.yarp.datagrams import DatagramWriter, Group, GroupMember, sending_socket
+from vertebra.yarp.exchange import ask
 from vertebra.yarp.link import Channel, Connection, dial, find, greet, reach
 from vertebra.yarp.names import CHOOSE_FOR_ME, Contact, NameClient
 from vertebra.yarp.receiver import Event, Number
+from vertebra.yarp.text import to_text
 from vertebra.yarp.wire import (
     MCAST,
     TEXT,
@@ -93,6 +95,36 @@ class Dialler:
         connection.write(text_line(f"~{sender}") + quit_message(TEXT))
         connection.release()
         await connection.lost
+
+
+async def why_silent(names: NameClient, writer: str, reader: str, limits: PeerLimits) -> str:
+    """Ask `writer` whether it sends to `reader` still; return why not, empty if it may."""
+    try:
+        contact = await names.query(writer)
+    except TransportError:
+        return ""
+    if contact is None:
+        return f"{writer} is not registered any more"
+    try:
+        found = await _ask(contact, f"[list] [out] {to_text([reader])}", limits)
+    except TransportError as error:
+        return str(error)
+    return "" if found else f"{writer} does not send to {reader} any more"
+
+
+async def ask_to_stop(names: NameClient, writer: str, reader: str, limits: PeerLimits) -> None:
+    """Ask `writer` to send no more to `reader`, as YARP does when a reader closes.
+
+    Raises:
+        NotConnectedError, DeadlineError: It cannot be asked.
+    """
+    contact = await find(writer, names)
+    await _ask(contact, f"[del] {to_text([reader])}", limits)
+
+
+async def _ask(contact: Contact, request: str, limits: PeerLimits) -> str:
+    where = (contact.host, contact.tcp_port)
+    return " ".join(await ask(*where, "a", request, limits.connect_timeout_s))
 
 
 def _ignore(_: Event) -> None:

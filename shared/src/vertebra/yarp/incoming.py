@@ -111,6 +111,10 @@ class ReadingLink(Link):
         super().__init__(connection, peer, carrier)
         self._peer_dialect = PeerDialect(dialect)
 
+    def drop(self, reason: str) -> None:
+        """Begin to end the connection."""
+        self._connection.close(reason)
+
     def _incoming(self, message: Message, *, reply_wanted: bool) -> Incoming:
         payload, peer_dialect = message.payload, self._peer_dialect
         if isinstance(payload, str):

@@ -19,6 +19,7 @@ from vertebra.yarp.datagrams import (
     receiving_socket,
 )
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.dialling import why_silent
 from vertebra.yarp.hints import dialect_of
 from vertebra.yarp.incoming import (
     Incoming,
@@ -29,8 +30,10 @@ from vertebra.yarp.incoming import (
     reply_bytes,
 )
 from vertebra.yarp.link import Connection
-from vertebra.yarp.receiver import Event, Greeting, Lost, Message, Receiver
-from vertebra.yarp.wire import MCAST, NAME_SER, UDP, Carrier, text_line, welcome
+from vertebra.yarp.mjpeg import NO_CODEC, STREAM_HEAD
+from vertebra.yarp.receiver import Event, Greeting, Lost, Message, Receiver, Request
+from vertebra.yarp.web import answer
+from vertebra.yarp.wire import HTTP, MCAST, MJPEG, NAME_SER, UDP, Carrier, text_line, welcome
 
 if TYPE_CHECKING:
     from vertebra.yarp.switchboard import Switchboard
@@ -64,10 +67,6 @@ class Input(ReadingLink):
         """What the peer speaks, as far as its messages have shown it."""
         return self._peer_dialect.known
 
-    def drop(self, reason: str) -> None:
-        """Begin to end the connection."""
-        self._connection.close(reason)
-
     def _later(self, delay_s: float, then: Callable[[], None]) -> asyncio.TimerHandle:
         return asyncio.get_running_loop().call_later(delay_s, then)
 
@@ -86,6 +85,8 @@ class Input(ReadingLink):
             self._welcome(event)
         elif isinstance(event, Message):
             self._on_message(event, self._greeted.carrier)
+        elif isinstance(event, Request):
+            self._in_order(partial(self._respond, event), HTTP)
         elif isinstance(event, Lost):
             self._miss(event.reason, event.count)
         else:
@@ -100,12 +101,12 @@ class Input(ReadingLink):
                 raise DecodeError(f"{self.peer} needs the plug-in {modifier!r}, which is not here")
         self._greeted = greeted
         self._board.replace(self)
-        _WELCOMES.get(greeted.carrier, Input._stay)(self, greeted)
+        _WELCOMES.get(greeted.carrier, Input._greet_back)(self, greeted)
         # Now, because a caller that waits for its reply may not answer questions any more.
         if self.dialect is None and self._board.on_call is not None and self.peer.startswith("/"):
             self._asking = self._board.spawn(self._ask_dialect())
 
-    def _stay(self, greeted: Greeting) -> None:
+    def _greet_back(self, greeted: Greeting) -> None:
         tcp_port = self._board.contact.tcp_port
         self.tcp.write(welcome(greeted.carrier, greeted.sender, tcp_port))
 
@@ -120,12 +121,44 @@ class Input(ReadingLink):
             sock = group_receiving_socket(greeted.group, self.tcp.local_host)
         self._go_on_by(sock)
 
+    def _show(self, _: Greeting) -> None:
+        """Wait for the request, which follows at once."""
+
+    def _stream(self, greeted: Greeting) -> None:
+        if self._board.jpeg is None:
+            self.tcp.write(NO_CODEC)
+            self.tcp.refuse("it wants JPEGs, and this port has no codec for them")
+            return
+        self.tcp.write(STREAM_HEAD)
+        self._board.turn_round(self, greeted.carrier, greeted.modifiers)
+
     def _go_on_by(self, sock: socket.socket) -> None:
         self.tcp.on_lost = None
         self.tcp.close("goes on by datagrams")
         self._connection = DatagramReader(
             sock, self.tcp.peer_host, self._board.limits, self._on_event, self._on_lost
         )
+        self._listen_for_silence()
+
+    def _listen_for_silence(self) -> None:
+        heard = self.counters.messages + self.counters.refused + self.counters.lost
+        after_s = self._board.limits.datagram_silence_s
+        self._silence = self._later(after_s, partial(self._on_silence, heard))
+
+    def _on_silence(self, heard: int) -> None:
+        if heard == self.counters.messages + self.counters.refused + self.counters.lost:
+            self._board.spawn(self._ask_writer())
+        else:
+            self._listen_for_silence()
+
+    async def _ask_writer(self) -> None:
+        """End the connection if the writer is gone, of which datagrams do not tell."""
+        board = self._board
+        trouble = await why_silent(board.names, self.peer, board.name, board.limits)
+        if trouble:
+            self._connection.close(f"lost: {trouble}")
+        elif not self._connection.closing:
+            self._listen_for_silence()
 
     def _on_message(self, message: Message, carrier: Carrier) -> None:
         letter = message.command[:1]
@@ -219,6 +252,23 @@ class Input(ReadingLink):
             self.counters.bytes += len(incoming.payload)
         return reply if incoming.reply_wanted else None
 
+    async def _respond(self, request: Request) -> Reply:
+        response = await answer(self._board, request, self._ask_owner)
+        self._connection.write(response)
+        self._connection.close("answered")
+        return None
+
+    async def _ask_owner(self, text: str) -> Reply:
+        on_data, on_call = self._board.on_data, self._board.on_call
+        incoming = self._incoming(Message("d", text), reply_wanted=True)
+        if on_call is not None:
+            return await self._answer(incoming, on_call)
+        if on_data is not None:
+            self._deliver(incoming, on_data)
+        else:
+            self._lose(f"{self._board.name} only sends")
+        return None
+
     async def _administer(self, message: Message) -> Reply:
         try:
             request = self._incoming(message, reply_wanted=True).bottle()
@@ -241,5 +291,7 @@ def _as_decode_error(what: str) -> Iterator[None]:
 _WELCOMES: Final[dict[Carrier, Callable[[Input, Greeting], None]]] = {
     UDP: Input._go_on_by_udp,  # noqa: SLF001 -- methods of this module
     MCAST: Input._go_on_by_mcast,  # noqa: SLF001
+    MJPEG: Input._stream,  # noqa: SLF001
+    HTTP: Input._show,  # noqa: SLF001
 }
-"""How a peer is welcomed; those of other carriers stay on their TCP connection."""
+"""How a peer is welcomed; those of other carriers get the answer to a greeting."""

@@ -15,7 +15,6 @@ from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.receiver import Event, Message, Receiver
 from vertebra.yarp.wire import (
     SMALL_BYTES,
-    UNKNOWN_HEADER_ANSWER,
     Buffer,
     Carrier,
     PeerLimits,
@@ -262,7 +261,7 @@ class Connection(Channel, asyncio.BufferedProtocol):
                     break
                 self.on_event(event)
         except UnknownCarrierError as error:
-            self.write(UNKNOWN_HEADER_ANSWER)
+            self.write(error.answer)
             self.refuse(str(error))
         except DecodeError as error:
             self.refuse(str(error))

@@ -12,6 +12,7 @@ from vertebra.yarp.bottle import Value, decode, encode
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.hints import dialect_of
 from vertebra.yarp.link import Channel, Delivery, Link
+from vertebra.yarp.mjpeg import JpegCodec
 from vertebra.yarp.objects import YarpObject, read
 from vertebra.yarp.receiver import Event, Message, Number
 from vertebra.yarp.text import to_text
@@ -37,15 +38,24 @@ the other all the same, but do not wait for us in between."""
 class Outgoing:
     """A message on its way to several outputs; each form is made once, where one needs it."""
 
-    __slots__ = ("_command", "_envelope", "_max_text_bytes", "_messages", "_payload", "_texts")
+    __slots__ = (
+        "_command",
+        "_jpeg",
+        "_max_text_bytes",
+        "_messages",
+        "_payload",
+        "_texts",
+        "envelope",
+    )
 
     def __init__(self, payload: Payload, envelope: str, max_text_bytes: int) -> None:
         self._payload = payload
-        self._envelope = envelope
+        self.envelope = envelope
         self._command = command("D", envelope)
         self._max_text_bytes = max_text_bytes
         self._messages: dict[Dialect, Form] = {}
         self._texts: dict[Dialect, Form] = {}
+        self._jpeg: asyncio.Future[bytes] | None = None
 
     def check(self, first: Dialect | None) -> None:
         """Raise EncodeError if the payload has no form at all; try the dialect `first` first."""
@@ -79,7 +89,20 @@ class Outgoing:
                 f"{self._max_text_bytes}; use tcp or fast_tcp"
             )
         text = to_text(decode(b"".join(parts), dialect), dialect)
-        return Form((text_message("D", self._envelope, text),), size)
+        return Form((text_message("D", self.envelope, text),), size)
+
+    async def jpeg(self, codec: JpegCodec) -> bytes:
+        """Return the image as a JPEG, made once in a thread for all who want it.
+
+        Raises:
+            CodecError: It is no image, or one of pixels that JPEG does not know.
+        """
+        if self._jpeg is None:
+            loop = asyncio.get_running_loop()
+            parts = parts_of(self._payload, Dialect.V3)  # images are the same in both
+            payload = parts[0] if len(parts) == 1 else b"".join(parts)
+            self._jpeg = loop.run_in_executor(None, codec.encode, payload)
+        return await asyncio.shield(self._jpeg)
 
 
 class Form(NamedTuple):
@@ -143,6 +166,11 @@ class Output(Link):
         connection.on_event = self._on_event
         connection.on_writable = self._flush
         connection.replies = False
+
+    @property
+    def is_connectionless(self) -> bool:
+        """Whether messages go as datagrams."""
+        return self._carrier.is_connectionless
 
     def offer(self, message: Outgoing) -> None:
         """Send now, or keep for later, or drop, as `delivery` says.

@@ -16,10 +16,11 @@ from vertebra.yarp.conf import opened_as
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.incoming import OnCall, OnData
 from vertebra.yarp.link import Counters, Delivery, Link
+from vertebra.yarp.mjpeg import JpegCodec
 from vertebra.yarp.names import CHOOSE_FOR_ME, Contact, NameClient, check_name
 from vertebra.yarp.outputs import Payload
 from vertebra.yarp.switchboard import Switchboard
-from vertebra.yarp.wire import DEFAULT_LIMITS, OUTPUT_CARRIERS, PeerLimits
+from vertebra.yarp.wire import CARRIERS, DEFAULT_LIMITS, PeerLimits
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +49,8 @@ class Port:
         bind_host: str = "127.0.0.1",
         advertise_host: str | None = None,
         tcp_port: int = 0,
+        sends: bool = True,
+        jpeg: JpegCodec | None = None,
         dialect: Dialect | None = None,
         limits: PeerLimits = DEFAULT_LIMITS,
         check_registration_s: float = 2.0,
@@ -71,6 +74,10 @@ class Port:
             advertise_host: Address to register; by default `bind_host`, or, where that is a
                 wildcard, `YARP_IP` or the address from which the name server sees us.
             tcp_port: 0 takes any free one.
+            sends: Whether others may connect this port to readers.
+            jpeg: Makes JPEGs of the images that are written, for those who watch by mjpeg, and
+                images of the JPEGs that are read; without it there are no such viewers, and JPEGs
+                arrive as they are. `installed_jpeg()` finds one.
             dialect: What the peers speak; None finds it out for each of them.
             limits: What peers may cost.
             check_registration_s: Time between two looks whether `name` is still registered.
@@ -95,6 +102,8 @@ class Port:
             depth=depth,
             dialect=dialect,
             limits=limits,
+            sends=sends,
+            jpeg=jpeg,
         )
         port = cls(board, advertised_host(advertise_host, bind_host, env, own_addresses()))
         try:
@@ -159,12 +168,23 @@ class Port:
     async def connect(self, dest: str, carrier: str = "fast_tcp") -> Link:
         """Send to the port `dest` from now on, replacing an earlier connection to it.
 
+        Over mjpeg it is `dest` that sends: images, which we read.
+
         Raises:
+            CommandRefusedError: This port was opened with `sends=False`, or reads nothing.
             NotConnectedError: `dest` is not registered, or nobody listens there.
             DeadlineError: It does not answer.
             EncodeError: We do not speak `carrier`.
         """
         return await self._board.connect(dest, carrier)
+
+    async def wait_input(self, peer: str) -> Link:
+        """Wait until the port `peer` has connected to us and return the connection.
+
+        Raises:
+            DeadlineError: It has not in `connect_timeout_s`.
+        """
+        return await self._board.wait_input(peer)
 
     async def disconnect(self, dest: str) -> bool:
         """Stop sending to `dest`; say whether there was such a connection."""
@@ -175,12 +195,17 @@ class Port:
         return True
 
     async def close(self) -> None:
-        """Unregister, tell the readers, close every connection and stop listening."""
+        """Take leave of writers, name server and readers, and stop listening."""
         if self._keeper is None:
             return
         self._keeper.cancel()
         await asyncio.wait([self._keeper])
         self._keeper = None
+        try:
+            async with asyncio.timeout(_FAREWELL_S):
+                await self._board.ask_writers_to_stop()
+        except TimeoutError:
+            log.info("%s does not wait for writers that do not answer", self.name)
         try:
             async with asyncio.timeout(_FAREWELL_S):
                 await self._board.names.unregister(self.name)
@@ -255,7 +280,7 @@ class Port:
 
 def _properties() -> dict[str, list[str]]:
     """Return what YARP's own library tells the name server about each port."""
-    carriers = [*OUTPUT_CARRIERS]
+    carriers = [*CARRIERS]
     return {
         "offers": carriers,
         "accepts": carriers,

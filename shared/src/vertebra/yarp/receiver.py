@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from vertebra.errors import DecodeError
 from vertebra.yarp.bottle import Incomplete, Value, decode_prefix
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.mjpeg import comment_of
 from vertebra.yarp.text import is_complete, join_lines
 from vertebra.yarp.wire import (
     ACK,
     GROUP_BYTES,
+    HTTP,
     INDEX,
     LETTERS,
     MAX_NAME_BYTES,
     MCAST,
+    MJPEG,
     NAME_SER,
     SMALL_BYTES,
     Carrier,
@@ -86,7 +89,24 @@ class Lost:
     count: int = 1
 
 
-Event: TypeAlias = Greeting | Message | Number | CallReply | Lost
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a browser asks over http.
+
+    Attributes:
+        method: Such as `GET`.
+        target: Path and query.
+        headers: By their names in small letters.
+        body: What a form sends.
+    """
+
+    method: str
+    target: str
+    headers: dict[str, str]
+    body: str
+
+
+Event: TypeAlias = Greeting | Message | Number | CallReply | Lost | Request
 
 _SCRATCH_BYTES: Final = 64 * 1024
 _MAX_COMMAND_BYTES: Final = 64 * 1024
@@ -94,6 +114,10 @@ _UNPROVEN_BYTES: Final = 128 * 1024
 _GROWTH: Final = 8
 """Of the buffer of a large message: memory goes to peers that send, not to those that announce."""
 _MAX_CONTINUED_LINES: Final = 100
+_MAX_HEAD_BYTES: Final = 16 * 1024
+_MAX_HEAD_LINES: Final = 100
+_MAX_LENGTH_DIGITS: Final = 12
+_BROWSER: Final = "web"  # what YARP calls whoever comes by HTTP
 
 
 class Receiver:
@@ -121,10 +145,13 @@ class Receiver:
         self._text_command: str | None = None  # of which the payload line has not come yet
         self._text_payload = ""
         self._text_lines = 0
+        self._head_lines: list[str] = []
+        self._request: Request | None = None  # of which the body has not come yet
+        self._body_bytes = 0
         self._reply_dialect = Dialect.V3
         self._step: Callable[[], Event | None] = self._greeting
         if dialled is not None:
-            self._step = self._text if dialled.is_text else self._binary
+            self._step = self._stream_head if dialled is MJPEG else self._spoken(dialled)
 
     @property
     def full(self) -> bool:
@@ -170,19 +197,22 @@ class Receiver:
             self._begin += 8
             self._step = self._name_ser
             return Greeting(carrier, "anon", [])
-        if carrier.is_text:
-            return self._greeted(carrier, self._greeting_line(), self._text)
+        if carrier is HTTP:
+            self._step = self._request_head
+            return Greeting(carrier, _BROWSER, [])
+        if carrier is MJPEG:
+            self._step = self._stream_request
+            return self._stream_request()
         if carrier is MCAST:
             return self._greeted_by_group(have)
-        return self._greeted(carrier, self._greeting_block(have), self._binary)
-
-    def _greeted(
-        self, carrier: Carrier, name: bytes | None, then: Callable[[], Event | None]
-    ) -> Greeting | None:
+        name = self._greeting_line() if carrier.is_text else self._greeting_block(have)
         if name is None:
             return None
-        self._step = then
+        self._step = self._spoken(carrier)
         return Greeting(carrier, *parse_sender(name))
+
+    def _spoken(self, carrier: Carrier) -> Callable[[], Event | None]:
+        return self._text if carrier.is_text else self._binary
 
     def _greeted_by_group(self, have: int) -> Greeting | None:
         name = self._greeting_block(have - GROUP_BYTES)
@@ -313,6 +343,98 @@ class Receiver:
         # The eight bytes of the header have gone from the first line.
         return Message("d", line.removeprefix("VER ").removeprefix("NAME_SERVER "))
 
+    # --- http and mjpeg ---
+
+    def _head(self) -> list[str] | None:
+        """Return the lines before the next empty one."""
+        while (line := self._line()) is not None:
+            if not line:
+                lines, self._head_lines = self._head_lines, []
+                return lines
+            self._head_lines.append(line)
+            size = sum(map(len, self._head_lines))
+            if len(self._head_lines) > _MAX_HEAD_LINES or size > _MAX_HEAD_BYTES:
+                raise DecodeError(
+                    f"an HTTP head has {len(self._head_lines)} lines, {size} bytes and no end; "
+                    f"{_MAX_HEAD_LINES} lines, {_MAX_HEAD_BYTES} bytes can be"
+                )
+        return None
+
+    def _stream_request(self) -> Event | None:
+        if self._head() is None:
+            return None
+        self._step = self._nothing
+        return Greeting(MJPEG, _BROWSER, [])
+
+    def _request_head(self) -> Event | None:
+        lines = self._head()
+        if lines is None:
+            return None
+        method, target, *_ = [*(lines[0] if lines else "").split(), "", ""]
+        headers = _headers(lines[1:])
+        self._body_bytes = _content_length(headers, self._limits.max_text_bytes)
+        self._request = Request(method, target, headers, "")
+        self._step = self._request_body
+        return self._request_body()
+
+    def _request_body(self) -> Event | None:
+        body = self._take(self._body_bytes)
+        if body is None or self._request is None:
+            return None
+        self._step = self._nothing
+        return replace(self._request, body=decoded(body))
+
+    def _stream_head(self) -> Event | None:
+        lines = self._head()
+        if lines is None:
+            return None
+        version, status, *_ = [*(lines[0] if lines else "").split(), "", ""]
+        if not version.startswith("HTTP/") or status != "200":
+            raise DecodeError(f"no stream of images, but {lines[:1]}")
+        self._step = self._part_head
+        return Message("Welcome", "")
+
+    def _part_head(self) -> Event | None:
+        while (lines := self._head()) is not None:
+            if not lines:  # before the boundary
+                continue
+            headers = _headers(lines)
+            if "content-length" not in headers:
+                raise DecodeError(f"a part of the stream tells no length: {lines!r:.200}")
+            self._body_bytes = _content_length(headers, self._limits.max_message_bytes)
+            self._step = self._part
+            return self._part()
+        return None
+
+    def _part(self) -> Event | None:
+        jpeg = self._take(self._body_bytes)
+        if jpeg is None:
+            return None
+        self._step = self._part_head
+        envelope = comment_of(jpeg)
+        return Message(f"D {envelope}" if envelope else "D", memoryview(jpeg).toreadonly())
+
+    def _take(self, size: int) -> bytes | bytearray | None:
+        """Return the next `size` bytes when all have come; large ones get a buffer of their own."""
+        large = self._large
+        if large is not None:
+            if self._filled < size:
+                return None
+            self._large = None
+            return large
+        end = self._begin + size
+        if end <= self._end:
+            raw = bytes(self._view[self._begin : end])
+            self._begin = end
+            return raw
+        if size > SMALL_BYTES:
+            self._receive_large(size, self._begin)
+        return None
+
+    def _nothing(self) -> None:
+        """Let pass what is no longer of interest."""
+        self._begin = self._end
+
     def _reply(self) -> Event | None:
         pending = self._pending
         pending += self._view[self._begin : self._end]
@@ -339,6 +461,18 @@ class Receiver:
             )
         pending.clear()
         return CallReply(values)
+
+
+def _headers(lines: Sequence[str]) -> dict[str, str]:
+    pairs = (line.partition(":") for line in lines)
+    return {name.strip().lower(): value.strip() for name, _, value in pairs}
+
+
+def _content_length(headers: Mapping[str, str], limit: int) -> int:
+    text = headers.get("content-length", "0")
+    if not text.isdecimal() or len(text) > _MAX_LENGTH_DIGITS or int(text) > limit:
+        raise DecodeError(f"a body of {text:.40} bytes announced; at most {limit} can be")
+    return int(text)
 
 
 def message_size(sizes: Sequence[int], limits: PeerLimits) -> int:

@@ -7,14 +7,11 @@ import logging
 from collections.abc import Coroutine, Sequence
 from typing import Any
 
-from vertebra.errors import BusyError
+from vertebra.errors import BusyError, CommandRefusedError, DeadlineError, VertebraError
 from vertebra.yarp.bottle import Value
 from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.dialling import Dialler
-from vertebra.yarp.incoming import (
-    OnCall,
-    OnData,
-)
+from vertebra.yarp.dialling import Dialler, ask_to_stop
+from vertebra.yarp.incoming import OnCall, OnData, ReadingLink
 from vertebra.yarp.inputs import Input
 from vertebra.yarp.link import (
     CLOSE_GRACE_S,
@@ -22,16 +19,17 @@ from vertebra.yarp.link import (
     Connection,
     Counters,
     Delivery,
+    Link,
+    dial,
     find,
     is_power_of_two,
 )
+from vertebra.yarp.mjpeg import JpegCodec
 from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.outputs import Outgoing, Output, Payload
-from vertebra.yarp.wire import (
-    Carrier,
-    PeerLimits,
-    parse_carrier,
-)
+from vertebra.yarp.reading import Subscription
+from vertebra.yarp.viewers import Viewer
+from vertebra.yarp.wire import MJPEG, Carrier, PeerLimits, parse_carrier
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +53,8 @@ class Switchboard:
         depth: int,
         dialect: Dialect | None,
         limits: PeerLimits,
+        sends: bool = True,
+        jpeg: JpegCodec | None = None,
     ) -> None:
         self.contact = contact
         self.names = names
@@ -62,11 +62,15 @@ class Switchboard:
         self.on_data = on_data
         self.on_call = on_call
         self.dialect = dialect
+        self.sends = sends
+        self.jpeg = jpeg
         self.limits = limits
         self._delivery: Delivery = delivery
         self._depth = depth
         self._dialler = Dialler(names, limits)
         self._inputs: dict[Input, None] = {}  # oldest first
+        self._pulled: list[Subscription] = []
+        self._arrival = asyncio.Event()
         self._outputs: list[Output] = []
         self._past_received = Counters()
         self._past_sent = Counters()
@@ -80,9 +84,10 @@ class Switchboard:
         return self.contact.name
 
     @property
-    def inputs(self) -> list[Input]:
-        """Connections that have greeted and do not read."""
-        return [link for link in self._inputs if not link.is_silent and not link.closed]
+    def inputs(self) -> list[ReadingLink]:
+        """Connections that have greeted and do not read, and those that we have made to read."""
+        greeted = (link for link in self._inputs if not link.is_silent)
+        return [link for link in (*greeted, *self._pulled) if not link.closed]
 
     @property
     def outputs(self) -> list[Output]:
@@ -92,7 +97,8 @@ class Switchboard:
     @property
     def received(self) -> Counters:
         """Totals over all inputs, closed ones included."""
-        return sum((link.counters for link in self._inputs), self._past_received)
+        links = (*self._inputs, *self._pulled)
+        return sum((link.counters for link in links), self._past_received)
 
     @property
     def sent(self) -> Counters:
@@ -125,11 +131,26 @@ class Switchboard:
         for output in self.outputs:
             await output.wait_for_room()
 
-    async def connect(self, dest: str, carrier: str) -> Output:
-        """Dial `dest` and write to it from now on, instead of over an earlier connection."""
+    async def connect(self, dest: str, carrier: str) -> Link:
+        """Dial `dest` and write to it from now on, instead of over an earlier connection.
+
+        Over mjpeg it is the other way round: `dest` writes to us.
+
+        Raises:
+            CommandRefusedError: This port only reads.
+        """
         spoken, modifiers = parse_carrier(carrier)
+        if not spoken.is_push:
+            return await self._pull(dest, spoken)
+        if not self.sends:
+            raise CommandRefusedError("Outputs not allowed")  # in the words of YARP
         contact = await find(dest, self.names)
         dialect = self.dialect or await self.names.dialects.of(contact)
+        for output in self.outputs:
+            if output.peer == dest and output.is_connectionless:
+                # Its leave is taken by name, and would be that of the new one.
+                output.leave("replaced")
+                await output.wait_closed()
         channel = await self._dialler.open(self.name, contact, spoken, modifiers)
         self.drop_output(dest)
         output = self._add_output(channel, dest, spoken, modifiers, dialect, is_reverse=False)
@@ -137,6 +158,25 @@ class Switchboard:
         if self._closing:  # it was not there to be closed with the others
             output.leave("closed by us")
         return output
+
+    async def _pull(self, source: str, carrier: Carrier) -> Subscription:
+        if self.on_data is None:
+            raise CommandRefusedError(f"{self.name} does not read")
+        contact = await find(source, self.names)
+        connection = await dial(contact, carrier, self.name, (), self.limits)
+        self.drop_input(source)
+        link = Subscription(connection, source, carrier, self.dialect, self.on_data, jpeg=self.jpeg)
+
+        def on_lost() -> None:
+            self._pulled.remove(link)
+            self._past_received += link.counters
+
+        connection.on_lost = on_lost
+        self._pulled.append(link)
+        connection.release()
+        if self._closing:
+            link.drop("closed by us")
+        return link
 
     def drop_output(self, peer: str) -> Output | None:
         """Begin to close the output to `peer` and return it, or None if there is none."""
@@ -152,6 +192,34 @@ class Switchboard:
         for link in found:
             link.drop("closed by us")
         return bool(found)
+
+    async def wait_input(self, peer: str) -> Link:
+        """Wait until `peer` has connected to us and return the connection.
+
+        Raises:
+            DeadlineError: It has not in `connect_timeout_s`.
+        """
+        try:
+            async with asyncio.timeout(self.limits.connect_timeout_s):
+                while True:
+                    for link in self.inputs:
+                        if link.peer == peer:
+                            return link
+                    await self._arrival.wait()
+        except TimeoutError:
+            raise DeadlineError(
+                f"the connection from {peer}", self.limits.connect_timeout_s
+            ) from None
+
+    async def ask_writers_to_stop(self) -> None:
+        """Ask those who write to us to close their connections; they know best how."""
+        writers = {link.peer for link in self._inputs if link.peer.startswith("/")}
+        asked = (ask_to_stop(self.names, peer, self.name, self.limits) for peer in writers)
+        for outcome in await asyncio.gather(*asked, return_exceptions=True):
+            if isinstance(outcome, VertebraError):
+                log.debug("%s could not ask a writer to stop: %s", self.name, outcome)
+            elif isinstance(outcome, BaseException):
+                raise outcome
 
     # --- called by the listener and the inputs ---
 
@@ -169,6 +237,8 @@ class Switchboard:
 
     def replace(self, new: Input) -> None:
         """Close older connections under the same rooted name, as YARP does."""
+        self._arrival.set()
+        self._arrival = asyncio.Event()
         if not new.peer.startswith("/"):
             return
         reason = f"{new.peer} has connected again"
@@ -187,6 +257,11 @@ class Switchboard:
     def turn_round(self, link: Input, carrier: Carrier, modifiers: Sequence[str]) -> None:
         """Write from now on to a peer that has dialled us."""
         self.forget(link)
+        if carrier is MJPEG and self.jpeg is not None:
+            viewer = Viewer(link.tcp, link.peer, self.jpeg, self.spawn,
+                            delivery=self._delivery, depth=self._depth)  # fmt: skip
+            self._add(viewer, link.tcp)
+            return
         output = self._add_output(
             link.tcp, link.peer, carrier, modifiers, link.dialect, is_reverse=True
         )
@@ -212,9 +287,9 @@ class Switchboard:
         await asyncio.gather(*tasks, return_exceptions=True)
         for output in self._outputs:
             output.leave("closed by us")
-        for link in self._inputs:
+        for link in (*self._inputs, *self._pulled):
             link.drop("closed by us")
-        leaving = [link.lost for link in (*self._outputs, *self._inputs)]
+        leaving = [link.lost for link in (*self._outputs, *self._inputs, *self._pulled)]
         if leaving:
             await asyncio.wait(leaving, timeout=2 * CLOSE_GRACE_S)
 
@@ -247,14 +322,16 @@ class Switchboard:
             depth=self._depth,
             is_reverse=is_reverse,
         )
+        self._add(output, channel)
+        return output
 
+    def _add(self, output: Output, channel: Channel) -> None:
         def on_lost() -> None:
             self._outputs.remove(output)
             output.let_go()
             self._past_sent += output.counters
-            log.info("%s no longer writes to %s: %s", self.name, peer, channel.reason)
+            log.info("%s no longer writes to %s: %s", self.name, output.peer, channel.reason)
 
         channel.on_lost = on_lost
         self._outputs.append(output)
-        log.info("%s writes to %s over %s", self.name, peer, output.carrier)
-        return output
+        log.info("%s writes to %s over %s", self.name, output.peer, output.carrier)

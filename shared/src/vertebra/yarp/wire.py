@@ -114,19 +114,24 @@ UDP: Final = Carrier("udp", yarp_number(_BINARY_CARRIERS), acks=False, is_text=F
                      is_connectionless=True)  # fmt: skip
 MCAST: Final = Carrier("mcast", yarp_number(_BINARY_CARRIERS + 1), acks=False, is_text=False,
                        is_connectionless=True)  # fmt: skip
+MJPEG: Final = Carrier("mjpeg", b"GET /?ac", acks=False, is_text=False, is_push=False)
+HTTP: Final = Carrier("http", b"GET /", acks=False, is_text=True, is_push=False)
 
 OUTPUT_CARRIERS: Final = {
     carrier.name: carrier for carrier in (TCP, FAST_TCP, UDP, MCAST, TEXT, TEXT_ACK)
 }
-CARRIERS: Final = {**OUTPUT_CARRIERS, NAME_SER.name: NAME_SER}
-_SPOKEN: Final = ", ".join(OUTPUT_CARRIERS)
+CARRIERS: Final = {
+    **OUTPUT_CARRIERS, **{carrier.name: carrier for carrier in (NAME_SER, MJPEG, HTTP)}
+}  # fmt: skip
+_SPOKEN: Final = ", ".join(CARRIERS)
+_DIALLED: Final = {**OUTPUT_CARRIERS, MJPEG.name: MJPEG}
+_DIALLED_NAMES: Final = ", ".join(_DIALLED)
 
-_TEXT_HEADERS: Final = {carrier.header: carrier for carrier in (TEXT, TEXT_ACK, NAME_SER)}
+_HEADERS: Final = {
+    **{carrier.header: carrier for carrier in (TEXT, TEXT_ACK, NAME_SER, MJPEG)}, b"POST /fo": HTTP
+}  # fmt: skip
 _FOREIGN_HEADERS: Final = {
-    b"GET /?ac": "mjpeg",
     b"GET /?ws": "websocket",
-    b"GET /": "http",
-    b"POST /fo": "http",
     b"UNIX_STR": "unix_stream",
     b"HUMANITY": "human",
 }
@@ -143,10 +148,21 @@ UNKNOWN_HEADER_ANSWER: Final = (
     b'* The 8 bytes "CONNECT " correspond to a simple text-mode protocol.\r\n'
     b"* Goodbye.\r\n"
 )
+_NO_WEBSOCKET: Final = (
+    b"HTTP/1.0 501 Not Implemented\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n"
+)
 
 
 class UnknownCarrierError(DecodeError):
-    """The first eight bytes choose no carrier that we speak."""
+    """The first eight bytes choose no carrier that we speak.
+
+    Attributes:
+        answer: What to send before the end, so that the other side learns why.
+    """
+
+    def __init__(self, reason: str, answer: bytes = UNKNOWN_HEADER_ANSWER) -> None:
+        super().__init__(reason)
+        self.answer = answer
 
 
 def choose_carrier(header: bytes) -> Carrier:
@@ -155,13 +171,14 @@ def choose_carrier(header: bytes) -> Carrier:
     Raises:
         UnknownCarrierError: None that we speak.
     """
-    if header in _TEXT_HEADERS:
-        return _TEXT_HEADERS[header]
+    if header in _HEADERS:
+        return _HEADERS[header]
+    if header in _FOREIGN_HEADERS:
+        raise _foreign(_FOREIGN_HEADERS[header])
+    if header.startswith(HTTP.header):
+        return HTTP
     number = parse_number(header)
     if number is None:
-        for begin, name in _FOREIGN_HEADERS.items():
-            if header.startswith(begin):
-                raise _foreign(name)
         raise UnknownCarrierError(f"the first 8 bytes {header!r} choose no YARP carrier")
     code = number - _BINARY_CARRIERS
     if code % 16 in _BY_CODE:
@@ -173,22 +190,24 @@ def choose_carrier(header: bytes) -> Carrier:
 
 
 def _foreign(name: str) -> UnknownCarrierError:
-    return UnknownCarrierError(f"carrier {name} is not spoken here; use one of {_SPOKEN}")
+    reason = f"carrier {name} is not spoken here; use one of {_SPOKEN}"
+    answer = f"* Error. The {reason}.\r\n".encode()
+    return UnknownCarrierError(reason, _NO_WEBSOCKET + answer if name == "websocket" else answer)
 
 
 def parse_carrier(text: str) -> tuple[Carrier, list[str]]:
     """Return the carrier and the modifiers of a text such as `tcp+log.in`.
 
     Raises:
-        EncodeError: We cannot send over it.
+        EncodeError: We cannot connect over it.
     """
     name, *modifiers = text.split("+")
-    if name not in OUTPUT_CARRIERS:
-        raise EncodeError(f"cannot send over carrier {name!r}; use one of {_SPOKEN}")
+    if name not in _DIALLED:
+        raise EncodeError(f"cannot connect over carrier {name!r}; use one of {_DIALLED_NAMES}")
     for modifier in modifiers:
         if modifier.partition(".")[0] in ("recv", "send", "log"):
             raise EncodeError(f"carrier modifier {modifier!r} needs a YARP plug-in; leave it out")
-    return OUTPUT_CARRIERS[name], modifiers
+    return _DIALLED[name], modifiers
 
 
 # --- greetings -------------------------------------------------------------------------------
@@ -204,8 +223,10 @@ def greeting(carrier: Carrier, sender: str, modifiers: Sequence[str] = ()) -> by
     Raises:
         EncodeError: The name is too long for a greeting, or holds control characters.
     """
+    if carrier is MJPEG:
+        return b"GET /?action=stream HTTP/1.0\r\n\r\n"
     lists = [f" ({modifier.replace('.', ' ', 1)})" for modifier in modifiers]
-    name = _line_bytes(sender + "".join(lists), "sender name")
+    name = line_bytes(sender + "".join(lists), "sender name")
     if not 0 < len(name) < MAX_NAME_BYTES:
         raise EncodeError(f"a sender name has 1 to {MAX_NAME_BYTES - 1} bytes, not {len(name)}")
     if carrier.is_text:
@@ -264,7 +285,7 @@ def command(letter: str, envelope: str = "") -> bytes:
     """
     if not envelope:
         return _SHORT_COMMANDS[letter]
-    return _long_command(_line_bytes(f"{letter} {envelope}", "envelope"))
+    return _long_command(line_bytes(f"{letter} {envelope}", "envelope"))
 
 
 def binary_message(command_block: bytes, payload: Sequence[Buffer]) -> list[Buffer]:
@@ -292,7 +313,7 @@ def binary_message(command_block: bytes, payload: Sequence[Buffer]) -> list[Buff
 
 def quit_message(carrier: Carrier) -> bytes:
     """Return the message with which a writer leaves, empty where it has to do so by other means."""
-    if carrier.is_connectionless:
+    if carrier.is_connectionless or not carrier.is_push:
         return b""
     if carrier.is_text:
         return b"q\r\n"
@@ -311,11 +332,12 @@ def text_line(text: str) -> bytes:
 
 def text_message(letter: str, envelope: str, text: str) -> bytes:
     """Return a message of the text carriers."""
-    begin = _line_bytes(f"{letter} {envelope}" if envelope else letter, "envelope")
+    begin = line_bytes(f"{letter} {envelope}" if envelope else letter, "envelope")
     return begin + b"\r\n" + text_line(text)
 
 
-def _line_bytes(text: str, what: str) -> bytes:
+def line_bytes(text: str, what: str) -> bytes:
+    """Return text that must not hold control characters, or raise EncodeError."""
     if not text.isprintable():
         for character in text:
             if character < " ":
