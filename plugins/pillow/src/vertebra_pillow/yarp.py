@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import Final
+from typing import Any, Final
 
 from PIL import Image as Pillow
 from typing_extensions import Buffer
@@ -42,15 +42,8 @@ class YarpJpeg:
         size = (image.width, image.height)
         file = io.BytesIO()
         try:
-            picture = Pillow.frombuffer(
-                mode,
-                size,
-                image.pixels,
-                "raw",
-                raw,
-                image.row_bytes,
-                1,  # type: ignore[arg-type]
-            )  # it takes every buffer, whatever its stubs say
+            pixels: Any = image.pixels  # every buffer will do, whatever the stubs say
+            picture = Pillow.frombuffer(mode, size, pixels, "raw", raw, image.row_bytes, 1)
             picture.save(file, "JPEG")
         except (OSError, ValueError) as error:
             raise EncodeError(f"no JPEG of {size[0]} x {size[1]} pixels: {error}") from error
