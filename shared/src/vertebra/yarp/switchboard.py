@@ -142,9 +142,9 @@ class Switchboard:
         spoken, modifiers = parse_carrier(carrier)
         if not spoken.is_push:
             return await self._pull(dest, spoken)
+        contact = await find(dest, self.names)
         if not self.sends:
             raise CommandRefusedError("Outputs not allowed")  # in the words of YARP
-        contact = await find(dest, self.names)
         dialect = self.dialect or await self.names.dialects.of(contact)
         for output in self.outputs:
             if output.peer == dest and output.is_connectionless:
