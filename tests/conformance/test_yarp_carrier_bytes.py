@@ -101,7 +101,8 @@ def test_a_captured_stream_is_read_and_written_again(case: str) -> None:
     welcomed, image = events(stream, MJPEG)
     assert welcomed == Message("Welcome", "")
     assert isinstance(image, Message)
-    jpeg = bytes(image.payload)  # type: ignore[arg-type]
+    assert isinstance(image.payload, memoryview)
+    jpeg = bytes(image.payload)
     count, seconds = image.envelope.split()
     assert (int(count) > 0, float(seconds) > 1_795_354_700) == (True, True)
     assert comment_of(jpeg) == image.envelope
