@@ -501,7 +501,7 @@ async def test_a_port_tells_the_name_server_what_it_speaks(names: NameClient) ->
         assert {"tcp", "fast_tcp", "udp", "mcast", "text", "text_ack", "http", "mjpeg"} <= {*offers}
         assert await names.get_property("/a", "accepts") == offers
         assert await names.get_property("/a", "process") == [str(os.getpid())]
-        assert await names.get_property("/a", "ips") == ["127.0.0.1"]
+        assert "127.0.0.1" in await names.get_property("/a", "ips")
 
 
 async def test_a_reader_that_closes_asks_its_writers_to_stop(
