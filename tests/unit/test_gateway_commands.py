@@ -164,10 +164,16 @@ def test_any_input_passes_or_is_refused(body: Any) -> None:
         b'{"joints": [{"min_deg": 0, "max_deg": 1, "speed": 1}]}',
         b'{"joints": [{"name": "pan", "max_deg": 1, "speed": 1}]}',
         b'{"joints": [{"name": "pan", "min_deg": "0", "max_deg": 1, "speed": 1}]}',
-        b'{"joints": [{"name": "pan", "min_deg": null, "max_deg": 1, "speed": 1}]}',
         b'{"joints": [{"name": "pan", "min_deg": 1e999, "max_deg": 1, "speed": 1}]}',
     ],
 )
 def test_limits_in_another_form_are_an_error(answer: bytes) -> None:
     with pytest.raises(DecodeError):
         read_limits(answer, SOURCE)
+
+
+def test_limit_that_the_robot_does_not_know_bounds_nothing() -> None:
+    answer = b'{"joints": [{"name": "pan", "min_deg": null, "max_deg": 1, "speed": null}]}'
+    limits = read_limits(answer, SOURCE)
+    ((field, by_joint), *_) = limits.items()
+    assert by_joint["pan"].min is None, field

@@ -107,7 +107,7 @@ def test_missing_folder_and_unreadable_file_name_the_remedy(tmp_path: Path) -> N
 
 def test_the_shipped_profiles_are_good() -> None:
     profiles = {profile.robot: profile for profile in load_profiles(SHIPPED)}
-    assert {resource.path for resource in profiles["vizzy"].resources} == {
+    assert {resource.path for resource in profiles["vizzy"].resources} >= {
         "head/joints",
         "head/limits",
         "head/move",
@@ -116,3 +116,53 @@ def test_the_shipped_profiles_are_good() -> None:
         "camera/left/faces",
         "imu",
     }
+
+
+PARTS = """
+robot: r2
+parts:
+  - {kind: control_board, path: head, key: r2/head}
+  - {kind: speaker, path: mouth, key: r2/mouth}
+resources:
+  - {path: eye, kind: stream, key: r2/eye}
+"""
+
+
+def test_parts_offer_what_their_kind_offers() -> None:
+    profile = parse_profile(PARTS, "r2.yaml")
+    move = profile.resource("head/move")
+    assert move is not None
+    assert move.key == "r2/head/move"
+    assert move.limits is not None
+    assert move.limits.source == "head/limits"
+    play = profile.resource("mouth/play")
+    assert play is not None
+    assert play.takes == "audio/wav"
+    assert profile.resource("eye") is not None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("speaker", "trumpet", r"line 5: .*trumpet"),
+        ("path: mouth", "path: head", None),
+        ("key: r2/mouth", "key: /r2", r"line 5: .*no empty chunk"),
+        ("path: eye", "path: head/move", r"line 7: .*exists already"),
+        ("key: r2/eye", "key: r2/eye, takes: audio/wav", r"line 7: .*taken by a call"),
+        ("key: r2/eye", "key: r2/eye, control: form", r"line 7: .*kind call"),
+    ],
+)
+def test_faults_in_parts_are_named_with_their_line(old: str, new: str, words: str | None) -> None:
+    text = PARTS.replace(old, new)
+    if words is None:
+        assert parse_profile(text, "r2.yaml").resource("head/play") is not None
+        return
+    with pytest.raises(ConfigError, match=words):
+        parse_profile(text, "r2.yaml")
+
+
+def test_a_profile_may_be_one_file(tmp_path: Path) -> None:
+    (tmp_path / "r2.yaml").write_text(PARTS)
+    (tmp_path / "r3.yaml").write_text(PARTS.replace("r2", "r3"))
+    assert [profile.robot for profile in load_profiles(tmp_path / "r3.yaml")] == ["r3"]
+    assert [profile.robot for profile in load_profiles(tmp_path)] == ["r2", "r3"]

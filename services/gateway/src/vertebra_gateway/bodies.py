@@ -30,14 +30,20 @@ async def read_body(request: Request) -> Any:
         ProblemError: It is too long.
         InputRefusedError: It is no JSON.
     """
-    raw = bytearray()
-    async for chunk in request.stream():
-        raw += chunk
-        if len(raw) > MAX_BODY_BYTES:
-            raise ProblemError(413, f"the body is longer than {MAX_BODY_BYTES} bytes")
+    raw = await read_bytes(request)
     if not raw:
         return {}
     try:
         return msgspec.json.decode(raw)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise InputRefusedError(f"the body is no JSON: {error}") from error
+
+
+async def read_bytes(request: Request) -> bytes:
+    """Return the body of a request; raise `ProblemError` if it is too long."""
+    raw = bytearray()
+    async for chunk in request.stream():
+        raw += chunk
+        if len(raw) > MAX_BODY_BYTES:
+            raise ProblemError(413, f"the body is longer than {MAX_BODY_BYTES} bytes")
+    return bytes(raw)

@@ -62,9 +62,9 @@ def read_limits(answer: bytes, source: LimitSource) -> Limits:
         ) from error
 
 
-def _number(joint: dict[str, Any], name: str) -> float:
-    value = msgspec.convert(joint[name], float)
-    if not math.isfinite(value):
+def _number(joint: dict[str, Any], name: str) -> float | None:
+    value = msgspec.convert(joint[name], float | None)
+    if value is not None and not math.isfinite(value):
         raise DecodeError(f"{name} of {joint['name']!r} is {value}")
     return value
 

@@ -67,6 +67,8 @@ _SCHEMAS: Final = {
             "description": "Limits by field of the input, then by joint",
             "additionalProperties": {"type": "object", "additionalProperties": _LIMIT},
         },
+        takes={"enum": ["application/json", "audio/wav"]},
+        control={"enum": ["", "sliders", "form", "none"]},
     ),
     "Fleet": _object(
         services=_list_of("Service"), streams=_list_of("Stream"), clients=_list_of("Client")
@@ -253,14 +255,15 @@ def _operation(robot: Robot, resource: Resource, leaf: str) -> dict[str, Any]:
         "responses": {"200": _answer(resource, leaf), **_PROBLEMS},
     }
     if resource.http_method == "POST":
-        schema = resource.input or {"type": "object", "maxProperties": 0}
+        schema = narrowed(
+            resource.input or {"type": "object", "maxProperties": 0},
+            robot.limits.get(resource.path, {}),
+        )
+        if resource.takes == "audio/wav":
+            schema = {"type": "string", "format": "binary"}
         operation["requestBody"] = {
-            "required": resource.input is not None,
-            "content": {
-                "application/json": {
-                    "schema": narrowed(schema, robot.limits.get(resource.path, {}))
-                }
-            },
+            "required": resource.input is not None or resource.takes == "audio/wav",
+            "content": {resource.takes: {"schema": schema}},
         }
     return operation
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -52,6 +54,20 @@ class LimitSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     fields: dict[str, LimitFields]
 
 
+class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a robot that offers what all parts of its kind offer.
+
+    Attributes:
+        kind: Name of the file in `parts/` that lists its resources.
+        path: Where it is below the robot; theirs are below it.
+        key: Where it is on the backbone; theirs are below it.
+    """
+
+    kind: Literal["control_board", "gaze", "face", "speaker"]
+    path: str
+    key: str
+
+
 class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One thing that a robot offers.
 
@@ -64,7 +80,10 @@ class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         content_type: What reading it gives; `image/jpeg` for cameras.
         input: JSON Schema of a call's input, None if it takes none.
         output: JSON Schema of the answer, for documentation.
+        takes: What a call is sent: JSON, or a sound that reaches the robot as an `AudioChunk`.
         limits: What bounds the input of a call.
+        control: How the dashboard offers a call; by default sliders for joints that move between
+            limits, else a form, or a button if there is no input.
         timeout_s: Longest time a call may take.
     """
 
@@ -76,7 +95,9 @@ class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     content_type: Literal["application/json", "image/jpeg"] = "application/json"
     input: dict[str, Any] | None = None
     output: dict[str, Any] | None = None
+    takes: Literal["application/json", "audio/wav"] = "application/json"
     limits: LimitSource | None = None
+    control: Literal["", "sliders", "form", "none"] = ""
     timeout_s: float = 10.0
 
     @property
@@ -91,12 +112,14 @@ class Profile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes:
         robot: Its name.
         resources: What it offers.
+        parts: Its parts; their resources come before the others.
         presence: Key expression of which at least one presence must be there for the robot to be
             online, for example its adapter's; empty if nothing announces it.
     """
 
     robot: str
-    resources: tuple[Resource, ...]
+    resources: tuple[Resource, ...] = ()
+    parts: tuple[Part, ...] = ()
     description: str = ""
     presence: str = ""
 
@@ -106,17 +129,17 @@ class Profile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def load_profiles(folder: Path) -> tuple[Profile, ...]:
-    """Read all `*.yaml` in a folder.
+    """Read all `*.yaml` in a folder, or the one file that it is.
 
     Raises:
         ConfigError: A profile is wrong or two name the same robot; it says where.
     """
-    if not folder.is_dir():
+    if not folder.exists():
         raise ConfigError(
             f"there is no folder {str(folder)!r} of robot profiles; set VERTEBRA_GATEWAY_ROBOTS"
         )
     profiles: dict[str, tuple[Profile, Path]] = {}
-    for path in sorted(folder.glob("*.yaml")):
+    for path in sorted(folder.glob("*.yaml")) if folder.is_dir() else [folder]:
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -146,14 +169,43 @@ def parse_profile(text: str, file: str) -> Profile:
         )
     if profile.presence:
         _check_expression(document, profile.presence)
+    places: list[Place] = [("resources", index) for index in range(len(profile.resources))]
+    for index, part in reversed([*enumerate(profile.parts)]):
+        offered = resources_of(part)
+        places[:0] = [("parts", index)] * len(offered)
+        profile = msgspec.structs.replace(profile, resources=(*offered, *profile.resources))
+    if not profile.resources:
+        raise document.error((), "a robot has parts or resources; this one offers nothing")
     seen: set[str] = set()
-    for index, resource in enumerate(profile.resources):
-        place = ("resources", index)
+    for place, resource in zip(places, profile.resources, strict=True):
         if resource.path in seen:
             raise document.error((*place, "path"), f"resource {resource.path!r} exists already")
         seen.add(resource.path)
         _check_resource(document, place, resource, profile)
     return profile
+
+
+@cache
+def _offered(kind: str) -> tuple[Resource, ...]:
+    """Return what parts of a kind offer, with paths and keys below the part."""
+    file = resources.files("vertebra_gateway") / "parts" / f"{kind}.yaml"
+    return msgspec.convert(yaml.safe_load(file.read_text(encoding="utf-8")), tuple[Resource, ...])
+
+
+def resources_of(part: Part) -> tuple[Resource, ...]:
+    """Return the resources of a part."""
+    return tuple(
+        msgspec.structs.replace(
+            offered,
+            path=f"{part.path}/{offered.path}",
+            key=f"{part.key}/{offered.key}",
+            limits=offered.limits
+            and msgspec.structs.replace(
+                offered.limits, source=f"{part.path}/{offered.limits.source}"
+            ),
+        )
+        for offered in _offered(part.kind)
+    )
 
 
 def _check_expression(document: _Document, expression: str) -> None:
@@ -177,11 +229,13 @@ def _check_resource(
     except NameMappingError as error:
         raise document.error((*place, "key"), str(error)) from error
     if resource.kind != "call":
-        for name in ("method", "input", "limits"):
+        for name in ("method", "input", "limits", "control"):
             if getattr(resource, name):
                 raise document.error((*place, name), f"{name} belongs to a resource of kind call")
     elif resource.input is not None and resource.method == "GET":
         raise document.error((*place, "input"), "a call by GET takes no input")
+    if resource.takes == "audio/wav" and (resource.kind != "call" or resource.input is not None):
+        raise document.error((*place, "takes"), "a sound is taken by a call, which has no input")
     if not 0.0 < resource.timeout_s <= 600.0:
         raise document.error((*place, "timeout_s"), "timeout_s is above 0 and at most 600")
     for name in ("input", "output"):

@@ -10,11 +10,13 @@ from typing import Any, Final
 import msgspec
 
 from vertebra.bus import Bus, PresenceEvent, Subscription
-from vertebra.codec import CodecRegistry, to_json_value
+from vertebra.codec import ENCODING, CodecRegistry, to_json_value
 from vertebra.errors import CodecError, DecodeError, NotConnectedError, TransportError
+from vertebra.messages import Header
 from vertebra_gateway.commands import InputCheck, Limits, read_limits
 from vertebra_gateway.problems import ProblemError
 from vertebra_gateway.profile import Profile, Resource
+from vertebra_gateway.sounds import read_wav
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +85,8 @@ class Robot:
                     "input": resource.input,
                     "output": resource.output,
                     "limits": msgspec.to_builtins(self.limits.get(resource.path)),
+                    "takes": resource.takes,
+                    "control": resource.control,
                 }
                 for resource in self.profile.resources
             ],
@@ -133,11 +137,30 @@ class Robots:
         resource = robot.resource(path)
         if resource.kind != "call":
             raise ProblemError(405, f"{path!r} is a resource to read, not to call", allowed=["GET"])
+        if resource.takes != _JSON:
+            raise ProblemError(415, f"{path!r} takes {resource.takes}, by POST to its path")
         robot.require_online()
         robot.checks[path].check(body, robot.limits.get(path, {}))
         deadline_s = min(timeout_s or resource.timeout_s, resource.timeout_s)
-        payload = msgspec.json.encode(body)
-        reply = await self._bus.call(resource.key, payload, encoding=_JSON, timeout_s=deadline_s)
+        return await self._ask_robot(resource, msgspec.json.encode(body), _JSON, deadline_s)
+
+    async def play(self, robot_name: str, path: str, wav: bytes) -> Any:
+        """Have a robot play a sound; return its answer as JSON.
+
+        Raises:
+            InputRefusedError: `wav` is no sound of 16-bit samples.
+            ProblemError, TransportError: As for `call`.
+        """
+        robot = self.robot(robot_name)
+        resource = robot.resource(path)
+        robot.require_online()
+        payload, encoding = self._codecs.encode(read_wav(wav), Header(), ENCODING)
+        return await self._ask_robot(resource, bytes(payload), encoding, resource.timeout_s)
+
+    async def _ask_robot(
+        self, resource: Resource, payload: bytes, encoding: str, timeout_s: float
+    ) -> Any:
+        reply = await self._bus.call(resource.key, payload, encoding=encoding, timeout_s=timeout_s)
         return self._read(reply.payload, reply.encoding or _JSON)
 
     def _read(self, payload: bytes, encoding: str) -> Any:
@@ -180,26 +203,47 @@ class Robots:
                     continue
 
     async def _ask(self, robot: Robot) -> tuple[str, dict[str, Limits]]:
-        """Fetch the limits of all calls; a robot that does not tell them is not online."""
+        """Fetch the limits of all calls; a robot of which no part tells its limits is not online.
+
+        A part that does not answer has no limits here: it checks commands itself, or is away.
+        """
         if not self._bus.info().connected:
             return "the gateway does not reach the router", robot.limits
+        limited = [resource for resource in robot.profile.resources if resource.limits is not None]
+        sources = {resource.limits.source for resource in limited if resource.limits is not None}
+        answers = dict(
+            zip(
+                sorted(sources),
+                await asyncio.gather(
+                    *(self._ask_limits(robot.resource(source)) for source in sorted(sources))
+                ),
+                strict=True,
+            )
+        )
         limits: dict[str, Limits] = {}
-        answers: dict[str, bytes] = {}
-        for resource in robot.profile.resources:
+        reasons = [answer for answer in answers.values() if isinstance(answer, str)]
+        for resource in limited:
             source = resource.limits
-            if source is None:
+            answer = answers[source.source] if source is not None else ""
+            if source is None or isinstance(answer, str):
                 continue
-            asked = robot.resource(source.source)
             try:
-                if asked.key not in answers:
-                    reply = await self._bus.call(
-                        asked.key, b"{}", encoding=_JSON, timeout_s=asked.timeout_s
-                    )
-                    answers[asked.key] = reply.payload
-                limits[resource.path] = read_limits(answers[asked.key], source)
-            except (TransportError, CodecError) as error:
+                limits[resource.path] = read_limits(answer, source)
+            except CodecError as error:
                 return str(error), robot.limits
+        if reasons and not limits:
+            return reasons[0], robot.limits
         return "", limits
+
+    async def _ask_limits(self, asked: Resource) -> bytes | str:
+        """Return the limits that a call tells, or why it does not."""
+        try:
+            reply = await self._bus.call(
+                asked.key, b"{}", encoding=_JSON, timeout_s=asked.timeout_s
+            )
+        except TransportError as error:
+            return str(error)
+        return reply.payload
 
     def _update(self, robot: Robot, reason: str, limits: dict[str, Limits]) -> None:
         if (reason, limits) == (robot.reason, robot.limits):

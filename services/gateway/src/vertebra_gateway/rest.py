@@ -11,7 +11,7 @@ from starlette.responses import Response
 from vertebra.bus import Bus
 from vertebra.codec import CodecRegistry
 from vertebra.errors import NotConnectedError
-from vertebra_gateway.bodies import JsonResponse, read_body
+from vertebra_gateway.bodies import JsonResponse, read_body, read_bytes
 from vertebra_gateway.fleet import Fleet
 from vertebra_gateway.mjpeg import MjpegResponse
 from vertebra_gateway.problems import ProblemError
@@ -124,6 +124,8 @@ def routes(gateway: Gateway) -> APIRouter:
         found = robots.robot(robot).resource(path)
         if found.http_method != "POST":
             raise ProblemError(405, f"{path!r} is read with GET", allowed=["GET"])
+        if found.takes == "audio/wav":
+            return JsonResponse(await robots.play(robot, path, await read_bytes(request)))
         return JsonResponse(await robots.call(robot, path, await read_body(request)))
 
     return router

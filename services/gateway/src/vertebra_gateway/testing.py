@@ -73,6 +73,7 @@ class FakeRobot:
         limits = {
             "min_deg": -LIMIT_DEG,
             "max_deg": LIMIT_DEG,
+            "min_velocity_deg_s": -MAX_VELOCITY_DEG_S,
             "max_velocity_deg_s": MAX_VELOCITY_DEG_S,
         }
         return _json({"joints": [{"name": joint, **limits} for joint in JOINTS]})

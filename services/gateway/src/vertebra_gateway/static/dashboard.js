@@ -1,6 +1,7 @@
 // The dashboard: everything on it is made from what the gateway tells about its robots.
 
 import { CameraCard } from "./camera.js";
+import { FormCard } from "./forms.js";
 import { JointsCard, movableFields } from "./joints.js";
 import { Vertebra } from "./vertebra.js";
 
@@ -11,6 +12,7 @@ const STALE_AFTER_PERIODS = 5;
 const RATE_OVER = 50;
 const SILENT_AFTER_S = 5;
 const CALL_TIMEOUT_S = 10;
+const FORM_TIMEOUT_S = 30;
 const MAX_PROBLEMS = 4;
 
 const client = new Vertebra();
@@ -181,6 +183,7 @@ class Robot {
   /** @type {Stream[]} */ #streams = [];
   /** @type {Map<string, any>} */ #cards = new Map();
   /** @type {JointsCard[]} */ #joints = [];
+  /** @type {FormCard[]} */ #forms = [];
 
   /** @param {any} description as the gateway gives it */
   constructor(description) {
@@ -191,6 +194,7 @@ class Robot {
     setText(this.element.querySelector(".description"), description.description);
     this.pictures = this.#column();
     this.controls = this.#column();
+    this.resources = description.resources;
     for (const resource of description.resources) this.#add(resource);
     this.update(description);
   }
@@ -204,8 +208,7 @@ class Robot {
 
   #add(resource) {
     if (resource.kind === "call") {
-      if (resource.input?.properties && resource.method === "POST") this.#addJoints(resource);
-      if (!resource.input && resource.method === "POST") this.#addButton(resource);
+      if (resource.method === "POST" && resource.control !== "none") this.#addCall(resource);
       return;
     }
     if (resource.content_type.startsWith("image/")) {
@@ -214,6 +217,25 @@ class Robot {
       this.pictures.append(card.element);
     }
     this.#streams.push(new Stream(resource, (sample) => this.#take(resource, sample)));
+  }
+
+  /** Joints that move between limits get sliders, other inputs a form, and no input is a button. */
+  #addCall(resource) {
+    const hasInput = resource.input?.properties || resource.takes !== "application/json";
+    if (!hasInput) this.#addButton(resource);
+    else if (resource.control === "form" || !movesJoints(resource)) this.#addForm(resource);
+    else this.#addJoints(resource);
+  }
+
+  #addForm(resource) {
+    const call = (body) =>
+      body instanceof Blob
+        ? send(resource.url, body, resource.takes)
+        : client.call(this.name, resource.path, body, { timeoutS: FORM_TIMEOUT_S });
+    const card = new FormCard(make("form-template"), resource, call);
+    this.#forms.push(card);
+    this.element.querySelector(".forms").append(card.element);
+    this.element.querySelector(".forms").hidden = false;
   }
 
   #addJoints(resource) {
@@ -232,7 +254,8 @@ class Robot {
     button.type = "button";
     button.title = resource.description;
     const verb = resource.path.split("/").at(-1);
-    button.textContent = verb[0].toUpperCase() + verb.slice(1);
+    const part = resource.path.split("/").slice(0, -1).join(" ");
+    button.textContent = verb[0].toUpperCase() + verb.slice(1) + (part && this.#hasOther(resource, verb) ? ` ${part}` : "");
     button.dataset.path = resource.path;
     if (verb === "stop") {
       button.className = "stop";
@@ -242,6 +265,11 @@ class Robot {
     }
     button.addEventListener("click", () => (verb === "stop" ? this.stop(resource) : this.#call(resource)));
     this.element.querySelector(".actions").append(button);
+  }
+
+  /** Whether another button would have the same name. */
+  #hasOther(resource, verb) {
+    return this.resources.some((other) => other !== resource && !other.input && other.path.split("/").at(-1) === verb);
   }
 
   async #call(resource) {
@@ -325,6 +353,9 @@ class Robot {
       card.element.hidden = movableFields(resource).length === 0;
       card.setLimits(resource);
     }
+    for (const card of this.#forms) {
+      card.setLimits(description.resources.find(({ path }) => path === card.path));
+    }
     this.#showPresence();
   }
 
@@ -338,7 +369,7 @@ class Robot {
     const away = this.element.querySelector(".away");
     away.hidden = !connected || online;
     setText(away, `${this.name} is offline: ${reason}`);
-    for (const card of this.#joints) card.enable(connected && online);
+    for (const card of [...this.#joints, ...this.#forms]) card.enable(connected && online);
   }
 
   refresh() {
@@ -518,6 +549,20 @@ async function explainLoss(reason) {
 }
 
 /* ---- small things */
+
+/** Whether a call moves joints, as far as its schema tells: limits come when the robot does. */
+function movesJoints({ control, limits, input }) {
+  if (control === "sliders") return true;
+  return movableFields({ limits, input }).length > 0 || input?.properties?.positions_deg !== undefined;
+}
+
+/** Send bytes to a path; return the answer or throw the problem. */
+async function send(url, body, type) {
+  const response = await fetch(url, { method: "POST", body, headers: { "content-type": type } });
+  const answer = await response.json();
+  if (!response.ok) throw new Error(answer.detail);
+  return answer;
+}
 
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;

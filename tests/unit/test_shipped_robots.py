@@ -1,0 +1,72 @@
+"""Every robot that is shipped: its profile, its YARP routes, and that they fit each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from vertebra_gateway.profile import Part, Profile, load_profiles
+from vertebra_yarp.routes import Routes, Stream, read_routes
+
+DEPLOY: Final = Path(__file__).parents[2] / "deploy"
+SHIPPED: Final = {
+    "simulated": ("robots/vizzy.yaml", "yarp/routes.yaml"),
+    "icub": ("robots/lab/icub.yaml", "yarp/icub.yaml"),
+    "r1": ("robots/lab/r1.yaml", "yarp/r1.yaml"),
+    "vizzy": ("robots/lab/vizzy.yaml", "yarp/vizzy.yaml"),
+}
+ROUTES_OF: Final = {
+    "control_board": "control_boards",
+    "gaze": "gazes",
+    "face": "faces",
+    "speaker": "speakers",
+}
+
+
+@pytest.fixture(params=SHIPPED)
+def robot(request: pytest.FixtureRequest) -> tuple[Profile, Routes]:
+    profile, routes = SHIPPED[request.param]
+    (loaded,) = load_profiles(DEPLOY / profile)
+    return loaded, read_routes(DEPLOY / routes)
+
+
+def test_every_file_that_is_shipped_is_tested_here() -> None:
+    tested = {DEPLOY / path for pair in SHIPPED.values() for path in pair}
+    assert {*DEPLOY.glob("robots/**/*.yaml"), *DEPLOY.glob("yarp/*.yaml")} == tested
+
+
+def test_every_part_has_its_route_and_every_route_its_part(robot: tuple[Profile, Routes]) -> None:
+    profile, routes = robot
+    for kind, name in ROUTES_OF.items():
+        parts = {part.key for part in profile.parts if part.kind == kind}
+        assert parts == {route.key for route in getattr(routes, name)}, kind
+
+
+def test_what_is_read_is_carried(robot: tuple[Profile, Routes]) -> None:
+    profile, routes = robot
+    carried = {route.key for route in routes if isinstance(route, Stream)}
+    carried |= {f"{route.key}/state" for route in routes.control_boards}
+    for resource in profile.resources:
+        if resource.kind != "call" and not resource.key.endswith("/faces"):
+            assert resource.key in carried
+
+
+def test_a_robot_fits_on_a_page(robot: tuple[Profile, Routes]) -> None:
+    profile, _ = robot
+    assert len(profile.parts) >= 4
+    for profile_path, routes_path in SHIPPED.values():
+        for path in (profile_path, routes_path):
+            assert len((DEPLOY / path).read_text().splitlines()) <= 60
+
+
+def test_parts_offer_what_they_are_asked_for(robot: tuple[Profile, Routes]) -> None:
+    profile, _ = robot
+    head = next(part for part in profile.parts if part.path == "head")
+    assert head == Part(kind="control_board", path="head", key=head.key)
+    for path in ("joints", "limits", "move", "move_by", "velocity", "direct", "modes", "stop"):
+        resource = profile.resource(f"head/{path}")
+        assert resource is not None
+        assert resource.limits is None or resource.limits.source == "head/limits"
+        assert resource.key == f"{head.key}/{'state' if path == 'joints' else path}"
