@@ -25,7 +25,7 @@ from vertebra.service import MessagePublisher
 from vertebra.testing.ports import free_tcp_port
 from vertebra_gateway.testing import FakeRobot
 
-PROFILES: Final = Path(__file__).parents[2] / "deploy" / "robots"
+PROFILES: Final = Path(__file__).parent / "robots"
 WIDTH: Final = 320
 HEIGHT: Final = 240
 SIDE: Final = 40
@@ -39,7 +39,8 @@ START_S: Final = 20.0
 class Gateway:
     """The gateway as a process of its own, which can die, freeze and come back."""
 
-    def __init__(self, router: str, heartbeats: Path) -> None:
+    def __init__(self, router: str, heartbeats: Path, profiles: Path) -> None:
+        self._profiles = profiles
         self.tcp_port = free_tcp_port()
         self.token = "a-token-for-tests"
         self._router = router
@@ -59,7 +60,7 @@ class Gateway:
             "VERTEBRA_HEARTBEAT_DIR": str(self._heartbeats),
             "VERTEBRA_GATEWAY_TCP_PORT": str(self.tcp_port),
             "VERTEBRA_GATEWAY_TOKEN": self.token,
-            "VERTEBRA_GATEWAY_ROBOTS": str(PROFILES),
+            "VERTEBRA_GATEWAY_ROBOTS": str(self._profiles),
         }
         self._process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "vertebra_gateway", env=environment
@@ -169,13 +170,13 @@ class Lab:
 
     def __init__(self, gateway: Gateway, router: str) -> None:
         self.gateway = gateway
-        self._router = router
+        self.router = router
         self._codecs = CodecRegistry.installed()
 
     @asynccontextmanager
     async def robot(self) -> AsyncIterator[Robot]:
         """Have a robot here for the length of a block."""
-        bus = await ZenohBus.open(self._router, timeout_s=5)
+        bus = await ZenohBus.open(self.router, timeout_s=5)
         robot = Robot(bus, self._codecs)
         living = asyncio.create_task(robot.live())
         try:
@@ -187,11 +188,11 @@ class Lab:
 
 
 @asynccontextmanager
-async def running_lab(heartbeats: Path) -> AsyncIterator[Lab]:
+async def running_lab(heartbeats: Path, profiles: Path = PROFILES) -> AsyncIterator[Lab]:
     """Have a lab for the length of a block."""
     router = f"tcp/127.0.0.1:{free_tcp_port()}"
     with running_router([router]):
-        gateway = Gateway(router, heartbeats)
+        gateway = Gateway(router, heartbeats, profiles)
         await gateway.start()
         try:
             yield Lab(gateway, router)

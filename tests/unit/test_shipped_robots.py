@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Final
 
@@ -70,3 +71,14 @@ def test_parts_offer_what_they_are_asked_for(robot: tuple[Profile, Routes]) -> N
         assert resource is not None
         assert resource.limits is None or resource.limits.source == "head/limits"
         assert resource.key == f"{head.key}/{'state' if path == 'joints' else path}"
+
+
+def test_settings_in_the_readme_name_files_that_are_shipped() -> None:
+    text = (DEPLOY / "README.md").read_text(encoding="utf-8")
+    named = re.findall(r"=/etc/vertebra/(\S+\.yaml)", text)
+    assert len(named) == 2
+    for path in named:
+        assert (DEPLOY / path).is_file(), path
+    mounted = (DEPLOY.parent / "compose.yaml").read_text(encoding="utf-8")
+    assert "./deploy/yarp:/etc/vertebra/yarp:ro" in mounted
+    assert "./deploy/robots:/etc/vertebra/robots:ro" in mounted
