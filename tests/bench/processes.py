@@ -172,10 +172,10 @@ class Pair:
             started(system, "receive", stream, environment) as receiver,
         ):
             pair = cls(sender, receiver, helpers)
-            await pair._meet()
+            await pair.meet()
             yield pair
 
-    async def _meet(self) -> None:
+    async def meet(self) -> None:
         """Send until something arrives: none of these systems says when it is ready."""
         deadline_s = time.monotonic() + START_S
         while not (await self.exchange(10, rate_hz=50, quiet_s=0.3)).latency_ns:
