@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vertebra.bus import MemoryBus, MemoryNetwork
-from vertebra.messages import JointState, Text
+from vertebra.messages import Array, JointState, Tensor, Text
 from vertebra.service import run_service
 from vertebra.testing.bus_suite import eventually
 from vertebra.yarp import NameClient, NameServer, Port, encode
@@ -106,14 +106,16 @@ async def test_a_port_of_one_fleet_is_mirrored_by_the_other_once_and_never_by_it
             while not (await two.route("/words"))["connected"]:
                 await asyncio.sleep(0.02)
         publisher = one.publisher("lab/words")
-        for number in range(20):
+        for number in range(19):
             publisher.publish(Text(text=str(number)))
+        publisher.publish(Tensor(array=Array(bytes(16), "<f8", (2,))))
         await eventually(lambda: heard.subscription.received >= 20)
         await asyncio.sleep(0.3)  # a loop would go on
         assert heard.subscription.received == 20
         assert echoed.subscription.received == 0
         (row,) = [row for row in (await one.ask("routes"))["routes"] if row["yarp"] == "/words"]
         assert (row["kind"], row["messages"]) == ("outbound stream", 20)
+        assert row["bytes"] == 19 * 12 + 28 + 24
         heard.subscription.close()
         echoed.subscription.close()
 

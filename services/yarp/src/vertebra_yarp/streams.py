@@ -9,7 +9,7 @@ from vertebra.bus import Delivery
 from vertebra.errors import BusyError, CodecError, DecodeError
 from vertebra.messages import Header, Message
 from vertebra.service import MessageReader, Received
-from vertebra.yarp import Incoming, objects
+from vertebra.yarp import Counters, Incoming, objects
 from vertebra_yarp import mapping
 from vertebra_yarp.carried import ORIGIN, Carried, Kit
 from vertebra_yarp.driver import Writer
@@ -101,6 +101,8 @@ class OutboundStream(Carried):
         self.route = route
         self._interval_s = 1.0 / route.max_rate_hz if route.max_rate_hz else 0.0
         self._next_s = 0.0
+        self._thinned = 0
+        self._past = Counters()  # of ports that were lost
 
     async def work(self) -> None:
         """Open the port, then write what comes."""
@@ -121,27 +123,27 @@ class OutboundStream(Carried):
                     if not received.header.origin.startswith(ORIGIN):
                         self._send(received, writer)
         finally:
+            self._past += writer.sent
             await writer.close()
         return f"the subscription to {route.key} ended"
 
     def _send(self, received: Received[Message], writer: Writer) -> None:
-        traffic = self.traffic
         now_s = time.monotonic()
         if now_s < self._next_s:
-            traffic.dropped += 1
-            return
-        self._next_s = now_s + self._interval_s
-        dropped = writer.sent.dropped
-        try:
-            payload = mapping.to_payload(received.message)
-            writer.write(payload, envelope=_envelope(received.header))
-        except (CodecError, BusyError) as error:
-            self.refuse(error)
-            self.kit.context.report(self.name, "warning", str(error))
-            return
-        traffic.messages += 1
-        traffic.bytes += sum(map(len, payload))
-        traffic.dropped += writer.sent.dropped - dropped
+            self._thinned += 1
+        else:
+            self._next_s = now_s + self._interval_s
+            try:
+                payload = mapping.to_payload(received.message)
+                writer.write(payload, envelope=_envelope(received.header))
+            except (CodecError, BusyError) as error:
+                self.refuse(error)
+                self.kit.context.report(self.name, "warning", str(error))
+            else:
+                self.traffic.messages += 1
+        sent = self._past + writer.sent
+        self.traffic.bytes = sent.bytes
+        self.traffic.dropped = self._thinned + sent.dropped
 
 
 def _envelope(header: Header) -> str:
