@@ -20,7 +20,7 @@ from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
 from vertebra.yarp import Incoming, NameClient, Port, Reader, RpcClient, Value, Vocab, objects
 from vertebra_yarp.adapter import serve
-from vertebra_yarp.driver import native_driver
+from vertebra_yarp.driver import name_service
 from vertebra_yarp.settings import YarpSettings
 
 pytestmark = pytest.mark.live
@@ -278,10 +278,8 @@ async def test_the_name_server_is_found_as_yarp_finds_it(
     (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {lab.names.tcp_port} yarp\n")
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
-    async with native_driver(
-        name_server="auto", serve_names_on="", bind_host="127.0.0.1", advertise_host=""
-    ) as driver:
-        assert (driver.names.host, driver.names.tcp_port) == ("127.0.0.1", lab.names.tcp_port)
+    async with name_service(name_server="auto", serve_names_on="", advertise_host="") as names:
+        assert (names.host, names.tcp_port) == ("127.0.0.1", lab.names.tcp_port)
 
 
 async def eventually_registered(lab: Lab, name: str) -> None:

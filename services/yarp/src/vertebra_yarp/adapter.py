@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,11 +15,12 @@ from vertebra.bus import Closeable, Reply, Request
 from vertebra.errors import ConfigError, TransportError
 from vertebra.keys import map_name, unmap_name
 from vertebra.service import Context
+from vertebra.yarp import NameClient
 from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
 from vertebra_yarp.carried import OWN_NAMES, Carried, Kit
 from vertebra_yarp.desk import Desk
 from vertebra_yarp.devices import Face, Gaze, Speaker
-from vertebra_yarp.driver import Transport, native_driver
+from vertebra_yarp.driver import NativeDriver, Transport, name_service
 from vertebra_yarp.metrics import RouteMetrics
 from vertebra_yarp.part import Part
 from vertebra_yarp.routes import (
@@ -45,12 +48,14 @@ async def serve(context: Context[YarpSettings]) -> None:
     """Carry routes until cancelled."""
     settings = context.settings
     routes = read_routes(settings.routes)
-    async with native_driver(
-        name_server=settings.name_server,
-        serve_names_on=settings.name_server_bind,
-        bind_host=settings.bind_host,
-        advertise_host=settings.advertise_host,
-    ) as transport:
+    async with (
+        name_service(
+            name_server=settings.name_server,
+            serve_names_on=settings.name_server_bind,
+            advertise_host=settings.advertise_host,
+        ) as names,
+        open_driver(settings, names) as transport,
+    ):
         adapter = Adapter(context, transport)
         served = Desk(context, transport, adapter.describe)
         try:
@@ -63,6 +68,20 @@ async def serve(context: Context[YarpSettings]) -> None:
         finally:
             served.close()
             await adapter.close()
+
+
+@contextlib.asynccontextmanager
+async def open_driver(settings: YarpSettings, names: NameClient) -> AsyncIterator[Transport]:
+    """Yield the driver that was chosen."""
+    if settings.driver == "bindings":
+        from vertebra_yarp.driver_bindings import bindings_driver  # noqa: PLC0415 - only if chosen
+
+        async with bindings_driver(names, advertise_host=settings.advertise_host) as transport:
+            yield transport
+        return
+    yield NativeDriver(
+        names, bind_host=settings.bind_host, advertise_host=settings.advertise_host or None
+    )
 
 
 class Adapter:

@@ -145,7 +145,7 @@ class NativeDriver:
 
     async def open_writer(self, name: str, *, delivery: Delivery, depth: int) -> Port:
         """See `Transport.open_writer`."""
-        await self._check_free(name)
+        await check_free(name, self.names)
         return await Port.open(
             name,
             self.names,
@@ -157,7 +157,7 @@ class NativeDriver:
 
     async def open_server(self, name: str, on_call: OnCall) -> Port:
         """See `Transport.open_server`."""
-        await self._check_free(name)
+        await check_free(name, self.names)
         return await Port.open(
             name,
             self.names,
@@ -166,39 +166,41 @@ class NativeDriver:
             advertise_host=self._advertise_host,
         )
 
-    async def _check_free(self, name: str) -> None:
-        # YARP gives a name to whoever asks last, and the program that had it is not even told.
-        if await self.names.exists(name):
-            raise NotConnectedError(
-                f"the YARP port {name} is another program's, perhaps that of a second fleet; stop "
-                "that program, or give the route another name"
-            )
+
+async def check_free(name: str, names: NameClient) -> None:
+    """Raise NotConnectedError if a living port has this name.
+
+    YARP gives a name to whoever asks last, and the program that had it is not even told.
+    """
+    if await names.exists(name):
+        raise NotConnectedError(
+            f"the YARP port {name} is another program's, perhaps that of a second fleet; stop "
+            "that program, or give the route another name"
+        )
 
 
 @contextlib.asynccontextmanager
-async def native_driver(
-    *, name_server: str, serve_names_on: str, bind_host: str, advertise_host: str
-) -> AsyncIterator[NativeDriver]:
-    """Yield a driver on an external name server, or on the built-in one if `name_server` is empty.
+async def name_service(
+    *, name_server: str, serve_names_on: str, advertise_host: str
+) -> AsyncIterator[NameClient]:
+    """Yield a client of an external name server, or of the built-in one if `name_server` is empty.
 
     With `auto` it is the one that YARP programs would use here; see `find_name_server`.
 
     Raises:
         ConfigError: An address is malformed or taken.
     """
-    advertised = advertise_host or None
     if name_server:
         if name_server == "auto":
-            names = await find_name_server(os.environ)
+            yield await find_name_server(os.environ)
         else:
-            names = NameClient(*split_address(name_server))
-        yield NativeDriver(names, bind_host=bind_host, advertise_host=advertised)
+            yield NameClient(*split_address(name_server))
         return
     host, tcp_port = split_address(serve_names_on)
     async with await NameServer.start(
-        bind_host=host, tcp_port=tcp_port, advertise_host=advertised
+        bind_host=host, tcp_port=tcp_port, advertise_host=advertise_host or None
     ) as server:
-        yield NativeDriver(server.client(), bind_host=bind_host, advertise_host=advertised)
+        yield server.client()
 
 
 def split_address(address: str) -> tuple[str, int]:

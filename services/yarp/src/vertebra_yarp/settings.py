@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
@@ -16,6 +17,10 @@ class YarpSettings(ServiceSettings):
 
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_YARP_")
 
+    driver: Literal["native", "bindings"] = Field(
+        "native",
+        description="native needs no YARP; bindings uses the YARP Python bindings of this machine.",
+    )
     name_server: str = Field(
         "",
         description="host:tcp_port of the lab's yarpserver, or auto: as YARP finds it (yarp.conf, "
