@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vertebra.yarp.bottle import Vocab, decode, encode
+from vertebra.yarp.bottle import Value, Vocab, decode, encode
 from vertebra.yarp.mjpeg import STREAM_HEAD, comment_of, part
 from vertebra.yarp.objects import Image
 from vertebra.yarp.packets import Reassembly, cut
@@ -32,7 +32,10 @@ from vertebra_pillow.yarp import YarpJpeg
 
 CAPTURED = json.loads((Path(__file__).parent / "yarp" / "carriers.json").read_text())
 UDP_SESSION = CAPTURED["conn_udp"]
-WRITTEN = (["hello", "world"], [1, 2.5, "a b", [1, 2, 3], Vocab("vo"), b"\1\2\xff"])
+WRITTEN: list[list[Value]] = [
+    ["hello", "world"],
+    [1, 2.5, "a b", [1, 2, 3], Vocab("vo"), b"\1\2\xff"],
+]
 
 
 def events(raw: bytes, dialled: Carrier | None = None) -> Iterator[Event]:
@@ -60,12 +63,17 @@ def test_captured_datagrams_are_those_that_we_send() -> None:
 
 
 def test_captured_datagrams_are_read_and_those_that_wake_are_ignored() -> None:
-    messages: list[Message] = []
+    read: list[list[Value]] = []
     lost: list[str] = []
-    reassembly = Reassembly(DEFAULT_LIMITS, messages.append, lost.append)
+
+    def on_message(message: Message) -> None:
+        assert isinstance(message.payload, memoryview)
+        read.append(decode(message.payload))
+
+    reassembly = Reassembly(DEFAULT_LIMITS, on_message, lost.append)
     for datagram in UDP_SESSION["datagrams"]:
         reassembly.feed(bytes.fromhex(datagram))
-    assert tuple(decode(bytes(message.payload)) for message in messages) == WRITTEN
+    assert read == WRITTEN
     assert lost == []
 
 
