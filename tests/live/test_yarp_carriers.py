@@ -321,7 +321,10 @@ async def test_a_browser_watches_an_image_port(names: NameClient) -> None:
         await eventually(lambda: not camera.outputs)
 
 
-async def test_a_port_without_a_codec_says_so(names: NameClient) -> None:
+async def test_a_port_without_a_codec_says_so(
+    names: NameClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vertebra.yarp.switchboard.installed_jpeg", lambda: None)
     async with await Port.open("/cam", names) as camera:
         reader, writer = await asyncio.open_connection(*place_of(camera))
         writer.write(b"GET /?action=stream HTTP/1.1\r\nHost: x\r\n\r\n")

@@ -11,6 +11,7 @@ travels as a comment in the JPEG. What turns pixels into JPEGs comes from outsid
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Final, Protocol
 
@@ -62,8 +63,9 @@ class JpegCodec(Protocol):
         ...
 
 
+@cache
 def installed_jpeg() -> JpegCodec | None:
-    """Return the JPEG codec of the first plugin that has one, None where there is none."""
+    """Return the JPEG codec of the first plugin that has one, None where none is installed."""
     for found in sorted(entry_points(group=JPEG_PLUGINS), key=lambda each: each.name):
         codec: JpegCodec = found.load()()
         return codec

@@ -76,8 +76,8 @@ class Port:
             tcp_port: 0 takes any free one.
             sends: Whether others may connect this port to readers.
             jpeg: Makes JPEGs of the images that are written, for those who watch by mjpeg, and
-                images of the JPEGs that are read; without it there are no such viewers, and JPEGs
-                arrive as they are. `installed_jpeg()` finds one.
+                images of the JPEGs that are read; by default `installed_jpeg()`. Where there is
+                none, viewers are told so, and JPEGs arrive as they are.
             dialect: What the peers speak; None finds it out for each of them.
             limits: What peers may cost.
             check_registration_s: Time between two looks whether `name` is still registered.

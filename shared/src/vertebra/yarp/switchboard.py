@@ -24,7 +24,7 @@ from vertebra.yarp.link import (
     find,
     is_power_of_two,
 )
-from vertebra.yarp.mjpeg import JpegCodec
+from vertebra.yarp.mjpeg import JpegCodec, installed_jpeg
 from vertebra.yarp.names import Contact, NameClient
 from vertebra.yarp.outputs import Outgoing, Output, Payload
 from vertebra.yarp.reading import Subscription
@@ -63,7 +63,7 @@ class Switchboard:
         self.on_call = on_call
         self.dialect = dialect
         self.sends = sends
-        self.jpeg = jpeg
+        self._jpeg = jpeg
         self.limits = limits
         self._delivery: Delivery = delivery
         self._depth = depth
@@ -82,6 +82,11 @@ class Switchboard:
     def name(self) -> str:
         """Name of the port."""
         return self.contact.name
+
+    @property
+    def jpeg(self) -> JpegCodec | None:
+        """What turns images into JPEGs and back."""
+        return self._jpeg or installed_jpeg()
 
     @property
     def inputs(self) -> list[ReadingLink]:
