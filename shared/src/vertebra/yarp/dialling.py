@@ -108,7 +108,7 @@ async def why_silent(names: NameClient, writer: str, reader: str, limits: PeerLi
     try:
         found = await _ask(contact, f"[list] [out] {to_text([reader])}", limits)
     except TransportError as error:
-        return str(error)
+        return f"{writer} does not say whether it still writes: {error}"
     return "" if found else f"{writer} does not send to {reader} any more"
 
 
