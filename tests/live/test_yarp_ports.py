@@ -868,6 +868,19 @@ async def test_who_waits_for_room_loses_nothing(names: NameClient) -> None:
         assert inbox.bottles == [[number] for number in range(100)]
 
 
+async def test_a_property_does_not_fill_the_memory(names: NameClient) -> None:
+    async with (
+        await Port.open("/a", names) as port,
+        raw_peer(port, greeting(TCP, "admin")) as tool,
+    ):
+        request = encode([Vocab("prop"), Vocab("set"), "x", bytes(300_000)])
+        tool.writer.write(message(request, "a"))
+        refusal = f"an administrative message of {len(request)} bytes; max_text_bytes is 262144"
+        await tool.expect(encode([Vocab("fail"), refusal]) + ACK)
+        tool.writer.write(message(encode([Vocab("prop"), Vocab("get")]), "a"))
+        await tool.expect(encode([]) + ACK)
+
+
 async def test_a_reader_that_goes_is_not_waited_for(names: NameClient) -> None:
     async with await Port.open("/out", names, delivery="queue", depth=1) as source:
         async with raw_peer(source, greeting(TCP, "/slow")) as slow:

@@ -270,6 +270,9 @@ class Input(ReadingLink):
         return None
 
     async def _administer(self, message: Message) -> Reply:
+        size, limit = len(message.payload), self._board.limits.max_text_bytes
+        if size > limit:  # some of it may be kept, as a property
+            return fail(f"an administrative message of {size} bytes; max_text_bytes is {limit}")
         try:
             request = self._incoming(message, reply_wanted=True).bottle()
         except CodecError as error:
