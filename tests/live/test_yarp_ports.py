@@ -400,7 +400,7 @@ async def test_commands_that_people_type(names: NameClient) -> None:
         raw_peer(reader) as other,
     ):
         await person.say(b"CONNACK me\n", b"Welcome me\r\n")
-        await person.say(b"/in\n", b"Added connection from /out to tcp://in\r\n<ACK>\r\n")
+        await person.say(b"/in\n", b"Added connection from /out to /in\r\n<ACK>\r\n")
         await other.say(b"CONNECT me\n", b"Welcome me\r\n")
         await other.say(b"~/out\n", b"Removing connection from /out to /in\r\n")
         await eventually(lambda: not writer.outputs)
@@ -423,7 +423,7 @@ async def test_requests_that_a_port_cannot_fulfil(names: NameClient) -> None:
                 b'[add] "shmem://in"',
                 b"-1 \"Cannot connect to shmem://in: cannot connect over carrier 'shmem'",
             ),
-            (b'[add] "/dead"', b'-1 "Cannot connect to tcp://dead: cannot reach YARP port /dead'),
+            (b'[add] "/dead"', b'-1 "Cannot connect to /dead: cannot reach YARP port /dead'),
             (b'[get] [in] "/nope"', b'-1 "Could not find an incoming connection from /nope'),
             (b'[set] [out] "/nope" (x 1)', b'-1 "Could not find an incoming connection to /nope'),
             (b"[prop] [get] none", b"\r\n<ACK>"),

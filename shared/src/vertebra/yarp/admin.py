@@ -97,6 +97,8 @@ async def administer(board: Switchboard, request: Sequence[Value]) -> list[Value
             return _property(board, *key)
         case ["prop", "set", key] if len(request) > 3:
             return _set_property(board, key, request[3:])
+        case ["prop"] | ["prop", _]:
+            return fail("property action not known")
         case ["get" | "set" as verb, "in" | "out" as direction, *peer]:
             return _parameters(board, verb, direction, *peer)
         case ["get" | "set" as verb, *_]:
@@ -143,16 +145,16 @@ async def obey(board: Switchboard, command: str) -> list[str]:
 async def connect(board: Switchboard, dest: str, carrier: str = "") -> tuple[bool, str]:
     """Connect to `tcp://name` or `/name`; return success and the text about it."""
     before, separator, after = dest.partition("://")
-    name, carrier = (f"/{after}", before) if separator else (dest, carrier or "tcp")
-    target = f"{carrier}:/{name}"
+    name, carrier = (f"/{after}", before) if separator else (dest, carrier)
+    target = f"{carrier}:/{name}" if carrier else name
     try:
-        await board.connect(name, carrier)
+        await board.connect(name, carrier or "tcp")
     except CommandRefusedError as error:
         return False, f"{error}\r\n"
     except EncodeError as error:
         return False, f"Cannot connect to {target}: {error}\r\n"
     except PortNotFoundError:
-        return False, f"Do not know how to connect to {dest}\r\n"
+        return False, f"Do not know how to connect to {target}\r\n"
     except TransportError as error:
         return False, f"Cannot connect to {target}: {error}\r\n"
     return True, f"Added connection from {board.name} to {target}\r\n"

@@ -1,0 +1,47 @@
+"""What a real port (`yarp write /c/a` of YARP 3.12.3) answered to administrative requests.
+
+All were asked in this order, over text_ack, while the port had no connections.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from vertebra.yarp.admin import administer
+from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.names import Contact
+from vertebra.yarp.nametable import NameTable, TableClient
+from vertebra.yarp.switchboard import Switchboard
+from vertebra.yarp.text import from_text, to_text
+from vertebra.yarp.wire import DEFAULT_LIMITS
+
+REPLIES = json.loads((Path(__file__).parent / "yarp" / "admin-3.12.json").read_text())
+
+INCOMPLETE = ("[add]", "[del]", "[get]", "[set]")
+"""YARP takes them for requests about a port without a name; ours says that something is missing."""
+PROPERTY_OF_NOBODY = "[prop] [set] /nope (qos ((tos 0)))"
+"""YARP says [fail], and keeps the property nevertheless; ours says why and does not."""
+
+
+async def test_a_port_answers_tools_in_the_words_of_yarp() -> None:
+    board = Switchboard(
+        Contact("/c/a", "tcp", "127.0.0.1", 10002),
+        TableClient(NameTable()),
+        on_data=None,
+        on_call=None,
+        delivery="latest",
+        depth=1,
+        dialect=Dialect.V3,
+        limits=DEFAULT_LIMITS,
+    )
+    for request, reply in REPLIES:
+        said = to_text(await administer(board, from_text(request)), Dialect.V3)
+        if request in INCOMPLETE:
+            assert said.startswith("[fail] ")
+        elif request == PROPERTY_OF_NOBODY:
+            assert said.startswith("[fail]")
+        elif request == "[prop] [get]":
+            assert said == reply.replace('("/nope" (qos ((tos 0)))) ', "")
+        else:
+            assert (request, said) == (request, reply)
