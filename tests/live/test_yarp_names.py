@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from vertebra.cli.checks import check_yarp_address
 from vertebra.errors import ConfigError, DeadlineError, NameMappingError, NotConnectedError
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
@@ -24,7 +25,9 @@ from vertebra.yarp import (
     encode,
     find_name_server,
 )
+from vertebra.yarp.addresses import is_loopback, own_addresses
 from vertebra.yarp.discovery import Responder, discover
+from vertebra.yarp.reachability import Reachability, check_reachability
 from vertebra.yarp.wire import ACK, TCP, greeting, yarp_number
 
 TIMEOUT_S = 5.0
@@ -403,3 +406,36 @@ async def test_users_rename_and_move_ports_by_the_environment(names: NameClient)
     async with await Port.open("/a", names, bind_host="0.0.0.0", env=env) as port:
         assert port.contact == Contact("/lab/b", "tcp", "127.0.0.1", tcp_port)
         assert await names.query("/lab/b") == port.contact
+
+
+# --- where others reach us ---
+
+
+async def test_the_name_server_reaches_us_where_it_tells_others(names: NameClient) -> None:
+    found = await check_reachability(names, bind_host="0.0.0.0", advertise_host=None)
+    assert found == Reachability("127.0.0.1", "127.0.0.1", reached=True)
+    assert await names.subscriptions() == []
+    assert [each.name for each in await names.list_ports()] == ["/root"]
+
+
+async def test_trap_15_an_address_where_nobody_reaches_us_is_noticed(names: NameClient) -> None:
+    finding = await check_yarp_address(
+        names, bind_host="127.0.0.1", advertise_host="192.0.2.1", timeout_s=0.3
+    )
+    assert finding.level == "wrong"
+    assert "others are told 192.0.2.1, where the name server cannot reach us" in finding.text
+    assert "it sees us at 127.0.0.1" in finding.text
+    assert "VERTEBRA_YARP_ADVERTISE_HOST" in finding.remedy
+    assert [each.name for each in await names.list_ports()] == ["/root"]
+
+
+async def test_telling_other_machines_our_loopback_is_noticed() -> None:
+    own = next((each for each in own_addresses() if not is_loopback(each)), None)
+    if own is None:
+        pytest.skip("this machine has loopback only; connect it to a network")
+    async with await NameServer.start(tcp_port=0, bind_host=own) as server:
+        names = server.client()
+        finding = await check_yarp_address(names, bind_host="127.0.0.1", advertise_host="")
+        assert (finding.level, "which is themselves" in finding.text) == ("wrong", True)
+        finding = await check_yarp_address(names, bind_host="0.0.0.0", advertise_host="")
+        assert finding.text == f"others are told {own}; the name server reaches us"

@@ -15,6 +15,10 @@ from typing import Final, Literal
 
 from vertebra import heartbeat
 from vertebra.cli.processes import holder_of, tcp_port_is_free
+from vertebra.errors import VertebraError
+from vertebra.yarp.addresses import advertised_host, is_loopback, own_addresses
+from vertebra.yarp.names import NameClient
+from vertebra.yarp.reachability import check_reachability
 
 _ANSWER_TIMEOUT_S: Final = 2.0
 _MULTICAST_GROUP: Final = "239.255.76.67"  # in the range that stays on this site
@@ -114,6 +118,36 @@ def check_command(
     if done.returncode:
         return Finding(name, "warning", text, remedy)
     return Finding(name, "ok", text)
+
+
+async def check_yarp_address(
+    names: NameClient, *, bind_host: str, advertise_host: str, timeout_s: float = 2.0
+) -> Finding:
+    """Check that others reach our YARP ports where they are told; takes its own names back."""
+    title = "address of YARP ports"
+    advertised = advertised_host(advertise_host, bind_host, os.environ, own_addresses())
+    try:
+        found = await check_reachability(
+            names, bind_host=bind_host, advertise_host=advertised, timeout_s=timeout_s
+        )
+    except (VertebraError, OSError) as error:
+        return Finding(title, "warning", f"cannot be tried: {error}", "mend that first")
+    if is_loopback(found.told) and not is_loopback(names.host):
+        text = f"others are told {found.told}, which is themselves; we are seen at {found.seen}"
+    elif not found.reached:
+        text = (
+            f"others are told {found.told}, where the name server cannot reach us; it sees us at "
+            f"{found.seen}"
+        )
+    elif is_loopback(found.told):
+        return Finding(title, "ok", f"{found.told}: for programs on this machine only")
+    else:
+        return Finding(title, "ok", f"others are told {found.told}; the name server reaches us")
+    remedy = (
+        "VERTEBRA_YARP_BIND_HOST=0.0.0.0 and VERTEBRA_YARP_ADVERTISE_HOST=<an address of this "
+        "machine that others reach>; open its TCP ports; in containers use deploy/compose.lab.yaml"
+    )
+    return Finding(title, "wrong", text, remedy)
 
 
 def check_cameras(devices: Path = Path("/dev")) -> Finding:

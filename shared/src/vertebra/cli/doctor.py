@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -19,10 +19,12 @@ from vertebra.cli.checkout import checkout, state_folder
 from vertebra.cli.checks import Finding
 from vertebra.cli.fleet import active_variables, read_fleet
 from vertebra.cli.processes import is_held
-from vertebra.errors import DeadlineError
+from vertebra.errors import DeadlineError, TransportError
 from vertebra.keys import CONTROL_PREFIX
+from vertebra.yarp import NameClient, find_name_server
 
 _ROUTER_TIMEOUT_S: Final = 1.5
+_CORRECT: Final = "correct VERTEBRA_YARP_NAME_SERVER, or start that name server"
 _START: Final = "start the fleet: ./vertebra up"
 
 
@@ -36,6 +38,7 @@ async def _run(arguments: argparse.Namespace) -> int:
     root = checkout()
     findings = [*_of_machine(root)]
     findings += [finding async for finding in _of_backbone(arguments.router)]
+    findings += [finding async for finding in _of_yarp(active_variables(root, os.environ))]
     if is_held(up.up_lock(root)):
         findings += checks.check_heartbeats(state_folder(root, "run"))
     print(table([(each.level, each.name, each.text) for each in findings]))
@@ -71,6 +74,32 @@ def _of_machine(root: Path) -> Iterator[Finding]:
     yield checks.check_command("face models", [*models, "verify", *folder], remedy=fetch)
     chromium = "only tests need it: apt-get install chromium"
     yield checks.check_command("Chromium", ["chromium", "--version"], remedy=chromium)
+
+
+async def _of_yarp(variables: Mapping[str, str]) -> AsyncIterator[Finding]:
+    """Look at the name server that the fleet's YARP adapter uses, if one is there."""
+    wanted = variables.get("VERTEBRA_YARP_NAME_SERVER") or variables.get(
+        "VERTEBRA_YARP_NAME_SERVER_BIND", "127.0.0.1:10000"
+    )
+    host, _, tcp_port = wanted.rpartition(":")
+    if wanted == "auto":
+        names = await find_name_server(variables)
+    elif tcp_port.isdecimal():
+        names = NameClient(host, int(tcp_port), timeout_s=_ROUTER_TIMEOUT_S)
+    else:
+        yield Finding("YARP name server", "wrong", f"{wanted!r} is not host:tcp_port", _CORRECT)
+        return
+    try:
+        await names.query("/root")
+    except TransportError as error:
+        if variables.get("VERTEBRA_YARP_NAME_SERVER"):  # else the fleet brings its own
+            yield Finding("YARP name server", "wrong", str(error), _CORRECT)
+        return
+    yield await checks.check_yarp_address(
+        names,
+        bind_host=variables.get("VERTEBRA_YARP_BIND_HOST", "127.0.0.1"),
+        advertise_host=variables.get("VERTEBRA_YARP_ADVERTISE_HOST", ""),
+    )
 
 
 async def _of_backbone(router: str) -> AsyncIterator[Finding]:
