@@ -142,7 +142,7 @@ def _tensor(values: array[float]) -> Tensor:
 
 
 def _imu(values: array[float]) -> Imu:
-    """Read the 12 numbers of an `inertial` port (refs: rpy, acceleration, gyro, magnetometer)."""
+    """Read the 12 numbers of an `inertial` port (rpy, acceleration, gyro, magnetometer)."""
     if len(values) != _IMU_VALUES:
         raise DecodeError(f"an inertial port streams {_IMU_VALUES} numbers, not {len(values)}")
     return Imu(

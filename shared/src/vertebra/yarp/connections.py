@@ -1,7 +1,7 @@
 """Connections between any two YARP ports, as `yarp connect` and its kin list and make them.
 
 A YARP connection is known to the two ports that it joins and to nobody else. So every registered
-port is asked, and a connection is made or removed by asking the port at one end (refs 5).
+port is asked, and a connection is made or removed by asking the port at one end.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ async def _ask(contact: Contact, timeout_s: float) -> PortState:
 async def _peers(port: RpcClient, direction: str, timeout_s: float) -> list[str]:
     request: list[Value] = [Vocab("list"), Vocab(direction)]
     reply = await port.administer(request, timeout_s=timeout_s)
-    # Callers without a rooted name, such as ourselves, are no connections (refs 2.1).
+    # Callers without a rooted name, such as ourselves, are no connections.
     return [str(peer) for peer in reply if isinstance(peer, str) and peer.startswith("/")]
 
 

@@ -1,4 +1,4 @@
-"""Asking a YARP port which dialect it speaks, without touching what it does (refs 11).
+"""Asking a YARP port which dialect it speaks, without touching what it does.
 
 No version is said anywhere, but vocabs tell: YARP 3 cuts `[abcdef]` to four letters. So the port
 is asked to drop a connection that nobody has, and its refusal repeats the word as it read it.
