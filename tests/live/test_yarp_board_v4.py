@@ -35,6 +35,7 @@ class Board:
         self.modes = [Vocab("pos"), Vocab("pos")]
         self.streamed: list[str] = []
         self.asked: list[str] = []
+        self.tells_arrival = True
 
     async def answer(self, incoming: Incoming) -> list[Value]:
         method, *arguments = incoming.bottle()
@@ -51,7 +52,7 @@ class Board:
             case ["getEncoderAllRPC"]:
                 return [[OK], [*self.positions]]
             case ["checkMotionDoneGroupRPC", list()]:
-                return [[OK], OK]
+                return [[OK], OK if self.tells_arrival else Vocab("fail")]
             case ["positionMoveGroupRPC", list() as joints, list() as targets]:
                 for joint, target in zip(joints, targets, strict=True):
                     self.positions[joint] = target
@@ -133,3 +134,13 @@ async def test_board_of_yarp_4_is_commanded_in_thrift(lab: tuple[Board, MemoryBu
     assert board.asked[-1] == "stopGroupRPC", "the deadman"
     with pytest.raises(RemoteError, match=r"answered \[err2\] to getTrajSpeedsAllRPC"):
         await call(bus, "speeds")
+
+
+async def test_a_board_that_never_tells_that_it_arrived_is_believed_its_positions(
+    lab: tuple[Board, MemoryBus],
+) -> None:
+    board, bus = lab
+    board.tells_arrival = False  # as fakeMotionControl of YARP 3.12
+    done = await call(bus, "move", {"positions_deg": {"tilt": 12.5}})
+    assert done["reached"]
+    assert done["positions_deg"] == {"pan": 0.0, "tilt": 12.5}

@@ -34,6 +34,8 @@ from vertebra_yarp.velocity import Runner
 
 log = logging.getLogger(__name__)
 
+ARRIVED_DEG: Final = 0.1
+"""A joint this near to its target has arrived, whatever its board says."""
 ARRIVED_POLL_S: Final = 0.03
 
 
@@ -263,8 +265,7 @@ class Part(Device):
         reached = False
         # A later command takes this one's place; what it reached then is where it is now.
         while move.wait and not reached and number == self._commands:
-            (done,) = words.numbers_of(await self._ask(self._words.arrived(indices)), 1)
-            reached = bool(done)
+            reached = await self._has_arrived(indices, move.positions_deg)
             if not reached:
                 await asyncio.sleep(ARRIVED_POLL_S)
         return {
@@ -273,6 +274,14 @@ class Part(Device):
             "targets_deg": move.positions_deg,
             "duration_s": round(time.monotonic() - began_s, 3),
         }
+
+    async def _has_arrived(self, indices: Sequence[int], targets_deg: dict[str, float]) -> bool:
+        (done,) = words.numbers_of(await self._ask(self._words.arrived(indices)), 1)
+        if done:
+            return True
+        # Some boards never say so, for example the `fakeMotionControl` of YARP 3.12.
+        positions = await self._positions()
+        return all(abs(positions[name] - deg) <= ARRIVED_DEG for name, deg in targets_deg.items())
 
     async def _run(self, command: board.Velocity) -> None:
         indices = self._indices(command.velocities_deg_s)
