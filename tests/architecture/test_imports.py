@@ -60,7 +60,7 @@ PURE: Final = {
     "shared/src/vertebra/yarp/wire.py",
     "plugins/*.py",
     "services/*/board.py", "services/*/body.py", "services/*/geometry.py",
-    "services/*/mapping.py", "services/*/pipeline.py", "services/*/scene.py",
+    "services/*/mapping/*.py", "services/*/pipeline.py", "services/*/scene.py",
     "services/*/tracker.py", "services/gateway/*/commands.py",
     "services/gateway/*/ws_protocol.py",
 }  # fmt: skip

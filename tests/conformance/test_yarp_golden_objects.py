@@ -193,13 +193,13 @@ DECODERS: dict[str, Callable[[Buffer, Dialect], YarpObject]] = {
     "pair": objects.Pair.decode,
     "jointData": objects.JointData.decode,
     "sensors": objects.SensorData.decode,
+    "odometry": objects.OdometryData.decode,
+    "vectorof_float": objects.VectorOf.decode,
+    "vectorof_int": objects.VectorOf.decode,
     "laser": objects.LaserScan2D.decode,
     "pointcloud": objects.PointCloud.decode,
 }
-BOTTLES_ONLY = {"bottle", "bottle_parse", "odometry", "property", "value"} | {
-    "vectorof_float",
-    "vectorof_int",
-}
+BOTTLES_ONLY = {"bottle", "bottle_parse", "property", "value"}
 
 
 def test_every_kind_of_golden_has_a_type() -> None:

@@ -18,7 +18,6 @@ from vertebra.messages import (
     Imu,
     JointState,
     Message,
-    Pose,
     Tensor,
     Text,
     item_bytes,
@@ -163,7 +162,7 @@ def test_text_is_one_string() -> None:
     assert to_message(encode(["hello"]), "Text") == Text(text="hello")
     assert raw(Text(text="hello")) == encode(["hello"])
     with pytest.raises(DecodeError):
-        to_message(encode(["a", "b"]), "Text")
+        to_message(encode(["a", "b", "c"]), "Text")
 
 
 def test_unknown_bytes_stay_what_they_are() -> None:
@@ -173,10 +172,8 @@ def test_unknown_bytes_stay_what_they_are() -> None:
 
 
 def test_what_yarp_cannot_say_is_refused() -> None:
-    with pytest.raises(EncodeError, match="no object for Pose"):
-        to_payload(Pose(position_m=(0, 0, 0)))
-    with pytest.raises(EncodeError, match="one-dimensional"):
-        to_payload(Tensor(array=Array.of(array("f", [1.0]))))
+    with pytest.raises(EncodeError, match=r"not '<u2' of shape \(1,\)"):
+        to_payload(Tensor(array=Array.of(array("H", [1]))))
     with pytest.raises(EncodeError):
         to_payload(Bottle(values=[None]))
 

@@ -35,7 +35,10 @@ ICUB_PARTS: Final = {
     "left_eyebrow": "leb",
     "right_eyebrow": "reb",
 }
-StreamType = Literal["auto", "Image", "Imu", "JointState", "Tensor", "Bottle", "Text"]
+StreamType = Literal[
+    "auto", "AudioChunk", "Bottle", "Image", "Imu", "JointState", "LaserScan", "Native",
+    "Odometry", "PointCloud", "Pose", "Tensor", "Text", "Twist",
+]  # fmt: skip
 
 
 class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,6 +52,7 @@ class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         delivery: What an outbound route keeps for a slow reader.
         depth: How many messages of it.
         max_rate_hz: Thins the stream out; 0 carries everything.
+        frame_id: The coordinate frame of the messages, which YARP's objects do not name.
     """
 
     yarp: str
@@ -58,6 +62,7 @@ class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     delivery: Literal["latest", "queue"] = "latest"
     depth: int = 1
     max_rate_hz: float = 0.0
+    frame_id: str = ""
 
 
 class Call(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

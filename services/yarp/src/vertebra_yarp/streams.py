@@ -82,7 +82,12 @@ class InboundStream(Carried):
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the message in what arrived; raise `DecodeError`."""
-        return mapping.to_message(incoming.payload, self.route.type, dialect=incoming.dialect)
+        return mapping.to_message(
+            incoming.payload,
+            self.route.type,
+            frame_id=self.route.frame_id,
+            dialect=incoming.dialect,
+        )
 
     async def close(self) -> None:
         """End it."""
@@ -134,7 +139,7 @@ class OutboundStream(Carried):
         else:
             self._next_s = now_s + self._interval_s
             try:
-                payload = mapping.to_payload(received.message)
+                payload = mapping.to_payload(received.message, frame_id=self.route.frame_id)
                 writer.write(payload, envelope=_envelope(received.header))
             except (CodecError, BusyError) as error:
                 self.refuse(error)

@@ -2,12 +2,12 @@
 
 | family | objects | on the wire |
 |---|---|---|
-| vectors | Vector, Quaternion, Matrix | lists of float64 |
+| vectors | Vector, VectorOf, Quaternion, Matrix | lists of numbers |
 | images | Image | a header and padded rows |
 | sounds | Sound | a header and int16, channel-wise |
 | stamps | Stamp | an envelope, or a list of two |
 | boards | Pair, JointData (JointValues, JointModes) | lists of vectors and flags |
-| sensors | SensorData (Measurement), LaserScan2D | lists of vectors and times |
+| sensors | SensorData (Measurement), LaserScan2D, OdometryData | lists of vectors and times |
 | clouds | PointCloud | a header and C++ structs |
 
 All but the point cloud are bottles with a fixed shape. Each object has `encode(dialect)` and
@@ -22,10 +22,10 @@ from vertebra.yarp.objects.clouds import PointCloud
 from vertebra.yarp.objects.images import DEFAULT_QUANTUM, PIXEL_BYTES, Image, row_bytes
 from vertebra.yarp.objects.kinds import Kind, kind_of, read
 from vertebra.yarp.objects.parts import YarpObject
-from vertebra.yarp.objects.sensors import LaserScan2D, Measurement, SensorData
+from vertebra.yarp.objects.sensors import LaserScan2D, Measurement, OdometryData, SensorData
 from vertebra.yarp.objects.sounds import Sound
 from vertebra.yarp.objects.stamps import Stamp
-from vertebra.yarp.objects.vectors import Matrix, Quaternion, Vector
+from vertebra.yarp.objects.vectors import Matrix, Quaternion, Vector, VectorOf, is_vector
 
 __all__ = [
     "DEFAULT_QUANTUM",
@@ -38,6 +38,7 @@ __all__ = [
     "LaserScan2D",
     "Matrix",
     "Measurement",
+    "OdometryData",
     "Pair",
     "PointCloud",
     "Quaternion",
@@ -45,7 +46,9 @@ __all__ = [
     "Sound",
     "Stamp",
     "Vector",
+    "VectorOf",
     "YarpObject",
+    "is_vector",
     "kind_of",
     "read",
     "row_bytes",

@@ -1,4 +1,4 @@
-"""What sensors measured: multi-analog sensors, laser scanners."""
+"""What sensors measured: multi-analog sensors, laser scanners, wheels."""
 
 from __future__ import annotations
 
@@ -129,3 +129,44 @@ class LaserScan2D(YarpObject):
                 return cls(angle_min, angle_max, range_min, range_max, numbers, status)
             case other:
                 raise damage("LaserScan2D", f"these {len(other)} values are no scan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryData(YarpObject):
+    """Where a mobile base is on the floor, and how it moves.
+
+    `base_vel` is in its own frame, `odom_vel` in that of its start. Metres and degrees; the fields
+    are in the order of the wire.
+    """
+
+    odom_x: float
+    odom_y: float
+    odom_theta: float
+    base_vel_x: float
+    base_vel_y: float
+    base_vel_theta: float
+    odom_vel_x: float
+    odom_vel_y: float
+    odom_vel_theta: float
+
+    def encode(self, dialect: Dialect = Dialect.V3) -> bytes:
+        """Return the odometry in binary."""
+        values = [getattr(self, name) for name in _ODOMETRY_FIELDS]
+        tagged = [struct.pack("<id", dialect.float64, value) for value in values]
+        return TWO_I32.pack(LIST, len(values)) + b"".join(tagged)
+
+    @classmethod
+    def decode(cls, payload: Buffer, dialect: Dialect = Dialect.V3) -> Self:
+        """Return the odometry in `payload`.
+
+        Raises:
+            DecodeError: It holds none.
+        """
+        values = bottle.decode(payload, dialect)
+        if len(values) != len(_ODOMETRY_FIELDS):
+            raise damage("OdometryData", f"{len(values)} values, not {len(_ODOMETRY_FIELDS)}")
+        numbers = number_list("OdometryData", "it", values)
+        return cls(**dict(zip(_ODOMETRY_FIELDS, numbers, strict=True)))
+
+
+_ODOMETRY_FIELDS: Final = tuple(OdometryData.__dataclass_fields__)

@@ -34,6 +34,11 @@ class Sound(YarpObject):
     bytes_per_sample: int = 2
     markers: bytes = _NO_MARKERS
 
+    @property
+    def has_markers(self) -> bool:
+        """Whether places in the sound are marked."""
+        return self.markers != _NO_MARKERS
+
     def encode(self, dialect: Dialect = Dialect.V3) -> bytes:
         """Return the sound in binary.
 

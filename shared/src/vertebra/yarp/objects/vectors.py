@@ -10,8 +10,17 @@ from typing import Final, Self
 
 from vertebra.errors import EncodeError
 from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import INT32, LIST, Dialect
-from vertebra.yarp.objects.parts import YarpObject, damage, floats, pack, read_floats
+from vertebra.yarp.dialect import INT8, INT16, INT32, INT64, LIST, Dialect
+from vertebra.yarp.objects.parts import (
+    TWO_I32,
+    YarpObject,
+    damage,
+    filled,
+    floats,
+    pack,
+    read_floats,
+    vector,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +46,65 @@ class Vector(YarpObject):
             DecodeError: It holds none, or one of the other dialect.
         """
         return cls(read_floats("vector", payload, dialect))
+
+
+@dataclass(frozen=True, slots=True)
+class VectorOf(YarpObject):
+    """A row of numbers of one type, that of its array: one of `bhiqfd`.
+
+    C++ knows int32 and float64 in YARP 3, and int8, int16, float32 as well in YARP 4; bottles
+    have them all in both.
+    """
+
+    values: array[float]
+
+    def encode(self, dialect: Dialect = Dialect.V3) -> bytes:
+        """Return the vector in binary.
+
+        Raises:
+            EncodeError: YARP has no vectors of this type.
+        """
+        code = self.values.typecode
+        for tag, known in _codes(dialect).items():
+            if known == code:
+                return vector(tag, code, self.values)
+        raise EncodeError(f"YARP has no vector of {code!r}, only of {', '.join('bhiqfd')}")
+
+    @classmethod
+    def decode(cls, payload: Buffer, dialect: Dialect = Dialect.V3) -> Self:
+        """Return the vector in `payload`.
+
+        Raises:
+            DecodeError: It holds none.
+        """
+        if not is_vector(payload, dialect):
+            raise damage("vector", f"it begins with {bytes(payload[:4]).hex()}, in {dialect}")
+        tag, count = TWO_I32.unpack_from(payload)
+        values: array[float] = array(_codes(dialect)[tag - LIST])
+        if count < 0 or len(payload) != 8 + values.itemsize * count:
+            raise damage(
+                "vector", f"{count} numbers were announced, {len(payload) - 8} bytes follow"
+            )
+        return cls(filled(values, memoryview(payload)[8:]))
+
+
+def _codes(dialect: Dialect) -> dict[int, str]:
+    """Return the types of numbers by tag."""
+    return {
+        INT8: "b",
+        INT16: "h",
+        INT32: "i",
+        INT64: "q",
+        dialect.float32: "f",
+        dialect.float64: "d",
+    }
+
+
+def is_vector(payload: Buffer, dialect: Dialect = Dialect.V3) -> bool:
+    """Say whether a payload begins like a vector of any type."""
+    if len(payload) < TWO_I32.size:
+        return False
+    return TWO_I32.unpack_from(payload)[0] - LIST in _codes(dialect)
 
 
 @dataclass(frozen=True, slots=True)
