@@ -14,6 +14,7 @@ import pytest
 from vertebra.errors import EncodeError
 from vertebra.testing.bus_suite import eventually
 from vertebra.yarp import (
+    Contact,
     Dialect,
     Float32,
     Incoming,
@@ -163,6 +164,27 @@ async def test_a_name_server_tells_its_dialect_by_an_echo(
     assert await names.dialects.of(server.contact) is Dialect.V3
     lines = await ask(names.host, names.tcp_port, "d", "check /root x [abcdef]", 1.0)
     assert "value abcd " in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ({}, None),
+        ({"/": Dialect.V4}, Dialect.V4),
+        ({"/icub/head": Dialect.V4}, Dialect.V4),
+        ({"/icub/head/rpc:i": Dialect.V4, "/icub": Dialect.V3, "/": Dialect.V3}, Dialect.V4),
+        ({"/icub/he": Dialect.V4}, None),
+    ],
+)
+async def test_what_a_route_says_is_not_asked(
+    names: NameClient, told: dict[str, Dialect], expected: Dialect | None
+) -> None:
+    names.dialects.told = told
+    assert names.dialects.told_of("/icub/head/rpc:i") is expected
+    if expected is not None:
+        contact = Contact("/icub/head/rpc:i", "tcp", "127.0.0.1", 1)  # nobody is there
+        assert await names.dialects.of(contact) is expected
+        assert await names.dialects.of_sender(contact.name) is expected
 
 
 # --- each connection in its own dialect ---

@@ -107,11 +107,11 @@ def test_pixels_without_a_format_of_ours(dialect: Dialect, code: str) -> None:
     size = objects.row_bytes(width, objects.PIXEL_BYTES[code], 8) * height
     raw = objects.Image(code, width, height, bytes(size)).encode()
     for wanted in ("auto", "Image", "Native"):
-        message = to_message(raw, wanted, dialect=dialect)  # type: ignore[arg-type]
+        message = to_message(raw, wanted, dialect=dialect)
         assert isinstance(message, Native)
         assert message.value["pixel_code"] == code
         assert message.value["pixels"].shape[:2] == (height, width)
-        check_both_ways(message, wanted, dialect)  # type: ignore[arg-type]
+        check_both_ways(message, wanted, dialect)
 
 
 def test_pixels_of_another_type_than_their_code() -> None:
@@ -207,6 +207,17 @@ def test_inertial_measurements(dialect: Dialect, rotation: Any, others: Any) -> 
     else:
         assert back.orientation_xyzw is not None
         assert_same_rotation(back.orientation_xyzw, rotation, 1e-9)
+
+
+@pytest.mark.parametrize("pitch", [-1.0, 1.0])
+@given(turn=st.floats(-math.pi, math.pi))
+def test_looking_straight_up_or_down_keeps_its_turn(pitch: float, turn: float) -> None:
+    half, cosine, sine = math.sqrt(0.5), math.cos(turn), math.sin(turn)
+    rotation = (half * sine, half * pitch * cosine, -half * pitch * sine, half * cosine)
+    back, _ = there_and_back(Imu(orientation_xyzw=rotation), "Imu", Dialect.V3)
+    assert isinstance(back, Imu)
+    assert back.orientation_xyzw is not None
+    assert_same_rotation(back.orientation_xyzw, rotation, 1e-9)
 
 
 def test_a_quaternion_that_is_no_rotation_is_refused() -> None:
@@ -374,7 +385,7 @@ def test_all_sensors_as_a_native(dialect: Dialect, sensors: list[Any]) -> None:
     names = objects.SensorData.__dataclass_fields__
     raw = objects.SensorData(**dict(zip(names, sensors, strict=True))).encode(dialect)
     for wanted in ("auto", "Native"):
-        message = to_message(raw, wanted, dialect=dialect)  # type: ignore[arg-type]
+        message = to_message(raw, wanted, dialect=dialect)
         assert isinstance(message, Native)
         assert b"".join(parts_of(to_payload(message), dialect)) == raw
 
@@ -392,8 +403,8 @@ def test_the_imu_among_the_sensors() -> None:
     )
     message = to_message(data.encode(), "Imu", frame_id="head")
     assert isinstance(message, Imu)
-    assert message.angular_velocity_deg_s == (1, 2, 3)
-    assert message.linear_acceleration_m_s2 == (4, 5, 6)
+    assert message.angular_velocity_deg_s == pytest.approx((1, 2, 3))
+    assert message.linear_acceleration_m_s2 == pytest.approx((4, 5, 6))
     assert message.magnetic_field_ut == pytest.approx((1, 2, 3))  # of tesla
     half = math.sqrt(0.5)
     assert message.orientation_xyzw == pytest.approx((0, 0, half, half))

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
+from vertebra.yarp import Dialect
+from vertebra_yarp.adapter import dialects
 from vertebra_yarp.routes import Call, ControlBoard, Routes, Stream, parse_routes, read_routes
+from vertebra_yarp.settings import YarpSettings
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "yarp" / "routes.yaml"
 
@@ -57,3 +60,15 @@ def test_faults_are_named_with_their_line(text: str, words: str) -> None:
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
         read_routes(tmp_path / "nowhere.yaml")
+
+
+def test_routes_and_settings_tell_the_dialect() -> None:
+    routes = parse_routes(
+        "streams:\n  - {yarp: /a, key: a, dialect: 4}\n  - {yarp: /b, key: b}\n"
+        "control_boards:\n  - {yarp: /c, key: c, dialect: 3}\n",
+        "x",
+    )
+    assert dialects(YarpSettings(), routes) == {"/a": Dialect.V4, "/c": Dialect.V3}
+    assert dialects(YarpSettings(dialect="4"), routes)["/"] is Dialect.V4
+    with pytest.raises(ConfigError, match="x:2"):
+        parse_routes("streams:\n  - {yarp: /a, key: a, dialect: 5}\n", "x")

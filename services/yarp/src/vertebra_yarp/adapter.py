@@ -15,7 +15,7 @@ from vertebra.bus import Closeable, Reply, Request
 from vertebra.errors import ConfigError, TransportError
 from vertebra.keys import map_name, unmap_name
 from vertebra.service import Context
-from vertebra.yarp import NameClient
+from vertebra.yarp import Dialect, NameClient
 from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
 from vertebra_yarp.carried import OWN_NAMES, Carried, Kit
 from vertebra_yarp.desk import Desk
@@ -101,6 +101,7 @@ class Adapter:
     async def carry(self, routes: Routes) -> None:
         """Carry exactly these explicit routes: those that stay are not touched."""
         wanted = set(routes)
+        self.transport.names.dialects.told = dialects(self.context.settings, routes)
         for route in [route for route in self._explicit if route not in wanted]:
             await self._explicit.pop(route).close()
             self.context.routes.pop(route.yarp, None)
@@ -194,6 +195,16 @@ class Adapter:
             self._served_mirror.close()
         for carried in [*self._explicit.values(), *self._mirrored.values()]:
             await carried.close()
+
+
+def dialects(settings: YarpSettings, routes: Routes) -> dict[str, Dialect]:
+    """Return what settings and routes tell about the YARP generation of ports."""
+    given = {"/": settings.dialect} | {
+        route.yarp: str(route.dialect)
+        for route in routes
+        if isinstance(route, Stream | Call | ControlBoard)
+    }
+    return {name: Dialect[f"V{dialect}"] for name, dialect in given.items() if dialect != "auto"}
 
 
 def make(kit: Kit, route: Route) -> Carried:

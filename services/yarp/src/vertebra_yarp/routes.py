@@ -35,6 +35,7 @@ ICUB_PARTS: Final = {
     "left_eyebrow": "leb",
     "right_eyebrow": "reb",
 }
+DialectChoice = Literal["auto", 3, 4]
 StreamType = Literal[
     "auto", "AudioChunk", "Bottle", "Image", "Imu", "JointState", "LaserScan", "Native",
     "Odometry", "PointCloud", "Pose", "Tensor", "Text", "Twist",
@@ -53,6 +54,7 @@ class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         depth: How many messages of it.
         max_rate_hz: Thins the stream out; 0 carries everything.
         frame_id: The coordinate frame of the messages, which YARP's objects do not name.
+        dialect: YARP generation of the other side, 3 or 4; `auto` finds it out.
     """
 
     yarp: str
@@ -63,6 +65,7 @@ class Stream(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth: int = 1
     max_rate_hz: float = 0.0
     frame_id: str = ""
+    dialect: DialectChoice = "auto"
 
 
 class Call(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -73,12 +76,14 @@ class Call(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         key: Served by us (inbound), or called by us (outbound).
         direction: `inbound` offers what YARP has on the backbone.
         timeout_s: Deadline of an outbound call; inbound ones bring their own.
+        dialect: As in a stream.
     """
 
     yarp: str
     key: str
     direction: Direction = "inbound"
     timeout_s: float = 5.0
+    dialect: DialectChoice = "auto"
 
 
 class ControlBoard(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -89,10 +94,12 @@ class ControlBoard(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         key: Where the part is on the backbone: `<key>/state`, the stream of commands
             `<key>/command`, and the calls `limits`, `modes`, `speeds`, `move`, `move_by`,
             `velocity`, `direct`, `stop`.
+        dialect: As in a stream.
     """
 
     yarp: str
     key: str
+    dialect: DialectChoice = "auto"
 
 
 class GazeRoute(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

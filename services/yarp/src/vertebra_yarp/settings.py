@@ -37,6 +37,9 @@ class YarpSettings(ServiceSettings):
     automatic: bool = Field(
         default=True, description="Show every YARP port that no route claims below `yarp/`."
     )
+    dialect: Literal["auto", "3", "4"] = Field(
+        "auto", description="YARP generation of the robots; `auto` asks each of their ports."
+    )
     prefix: str = Field(
         "",
         description="Our own YARP names are below this; empty makes one that no other fleet has.",

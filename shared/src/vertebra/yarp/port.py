@@ -100,7 +100,7 @@ class Port:
             on_call=on_call,
             delivery=delivery,
             depth=depth,
-            dialect=dialect,
+            dialect=dialect or names.dialects.told_of(name),
             limits=limits,
             sends=sends,
             jpeg=jpeg,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from vertebra.errors import NotConnectedError, TransportError
@@ -30,14 +31,28 @@ class DialectFinder:
     """The dialects of YARP ports, each asked once in a while.
 
     A port that cannot be asked, or does not say, is taken for one of YARP 3; the log says so.
+
+    Attributes:
+        told: What somebody knows better, by the name of a port or of what its name begins with
+            (`/icub/head` is `/icub/head/rpc:i`, too; the longest counts, `/` is for all).
     """
 
     def __init__(self, names: NameClient) -> None:
+        self.told: Mapping[str, Dialect] = {}
         self._names = names
         self._found: dict[Contact, tuple[Dialect, float]] = {}
 
+    def told_of(self, name: str) -> Dialect | None:
+        """Return what `told` says of a port, without asking it."""
+        path = f"{name}/"
+        known = [begin for begin in self.told if path.startswith(f"{begin.rstrip('/')}/")]
+        return self.told[max(known, key=len)] if known else None
+
     async def of(self, contact: Contact) -> Dialect:
         """Return what the port at `contact` speaks."""
+        told = self.told_of(contact.name)
+        if told is not None:
+            return told
         dialect, until_s = self._found.get(contact, (Dialect.V3, 0.0))
         if time.monotonic() < until_s:
             return dialect
@@ -59,8 +74,9 @@ class DialectFinder:
 
     async def of_sender(self, name: str) -> Dialect:
         """Return what the port speaks that has dialled us under `name`."""
-        if not name.startswith("/"):
-            return Dialect.V3  # a tool or a client without a port
+        told = self.told_of(name)
+        if told is not None or not name.startswith("/"):
+            return told or Dialect.V3  # else a tool, or a client without a port
         try:
             async with asyncio.timeout(PROBE_TIMEOUT_S):
                 contact = await self._names.query(name)

@@ -89,6 +89,7 @@ class Reader:
             EncodeError: `carrier` is another one.
         """
         check_name(reader_name)
+        dialect = dialect or names.dialects.told_of(source)
         if carrier in _REQUESTED:
             port = await Port.open(
                 reader_name,

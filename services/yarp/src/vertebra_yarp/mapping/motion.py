@@ -19,6 +19,7 @@ _TWIST_VALUES: Final = 6
 _NAN3: Final = (math.nan, math.nan, math.nan)
 _UNIT_WITHIN: Final = 1e-6
 _FLAT_WITHIN: Final = 1e-9
+_UPRIGHT_SINE: Final = 1 - 1e-12
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
 
@@ -115,6 +116,13 @@ def _quaternion(roll_pitch_yaw_deg: _Triple) -> _Quaternion:
 def _roll_pitch_yaw(xyzw: _Quaternion) -> Iterable[float]:
     x, y, z, w = xyzw
     pitch_sine = max(-1.0, min(1.0, 2 * (w * y - z * x)))
+    if abs(pitch_sine) > _UPRIGHT_SINE:  # roll and yaw turn about one axis: all of it is yaw
+        turn = math.remainder(2 * math.atan2(x, w), math.tau)
+        return (
+            0.0,
+            math.copysign(90.0, pitch_sine),
+            -math.copysign(1.0, pitch_sine) * math.degrees(turn),
+        )
     angles = (
         math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
         math.asin(pitch_sine),
