@@ -455,6 +455,11 @@ def test_natives_are_properties(dialect: Dialect, value: dict[str, Any]) -> None
     check_both_ways(Native(value=value), "Native", dialect)
 
 
+def test_a_native_may_have_a_schema_of_its_own() -> None:
+    for schema in ([], {}, "mine", 7):
+        check_both_ways(Native(value={"schema": schema}), "Native", Dialect.V3)
+
+
 @pytest.mark.parametrize(
     "value",
     [

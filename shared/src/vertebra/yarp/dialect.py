@@ -1,4 +1,4 @@
-"""Type tags of a Bottle on the wire, in the two dialects of YARP (source: `BottleImpl`, `Storable`).
+"""Type tags of a Bottle on the wire, in the two dialects of YARP (`BottleImpl`, `Storable`).
 
 YARP 4 renumbered the floats: its float32 wears the tag that was float64 in YARP 3. A connection
 speaks one dialect from beginning to end and nothing in the handshake tells which.

@@ -121,8 +121,9 @@ def from_native(message: Native) -> list[Value]:
             f"a Native goes to YARP as a Property, so it holds a dict, not a "
             f"{type(value).__name__}; put it below a key"
         )
-    if value.get(_SCHEMA) in _MESSAGES:
-        raise EncodeError(f"{value[_SCHEMA]!r} would make another message of this Native")
+    schema = value.get(_SCHEMA)
+    if isinstance(schema, str) and schema in _MESSAGES:
+        raise EncodeError(f"{schema!r} would make another message of this Native")
     return _pairs(value)
 
 
