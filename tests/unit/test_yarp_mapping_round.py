@@ -456,7 +456,8 @@ def test_natives_are_properties(dialect: Dialect, value: dict[str, Any]) -> None
 
 
 def test_a_native_may_have_a_schema_of_its_own() -> None:
-    for schema in ([], {}, "mine", 7):
+    schemas: list[object] = [[], {}, "mine", 7]
+    for schema in schemas:
         check_both_ways(Native(value={"schema": schema}), "Native", Dialect.V3)
 
 
