@@ -167,8 +167,7 @@ def _key(name: object) -> str:
 
 def _packed(value: Any) -> Value:
     if isinstance(value, Array):
-        shape: list[Value] = [*value.shape]
-        parts = (value.dtype, shape, bytes(value.data))
+        parts: list[Value] = [value.dtype, [*value.shape], bytes(value.data)]
         return Dict([[name, part] for name, part in zip(_ARRAY, parts, strict=True)])
     if isinstance(value, msgspec.Struct):
         return Dict(_pairs(_present(value)))
