@@ -121,6 +121,14 @@ async def test_robot_port_is_left_alone_until_someone_subscribes(lab: Lab) -> No
         await eventually(lambda: port.outputs == [])
 
 
+async def test_no_robot_waits_for_our_acks_streams_are_read_over_fast_tcp(lab: Lab) -> None:
+    async with await Port.open("/cam", lab.names) as port:
+        reader = lab.read("robot/camera", Image)
+        await eventually(lambda: bool(port.outputs))
+        assert [each.carrier for each in port.outputs] == ["fast_tcp"]
+        reader.subscription.close()
+
+
 async def test_wrong_type_is_refused_and_the_stream_lives(lab: Lab) -> None:
     reader = lab.read("robot/camera", Image)
     async with await Port.open("/cam", lab.names, delivery="queue") as port:

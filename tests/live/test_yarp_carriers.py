@@ -131,7 +131,7 @@ async def udp_writer(port: Port, name: str = "/robot") -> tuple[socket.socket, t
     return sock, (port.contact.host, parse_number(answer) or 0)
 
 
-async def test_trap_18_the_udp_port_of_a_writer_is_its_former_tcp_port(names: NameClient) -> None:
+async def test_the_udp_port_of_a_writer_is_its_former_tcp_port(names: NameClient) -> None:
     heard: asyncio.Queue[tuple[str, int]] = asyncio.Queue()
 
     class Ear(asyncio.DatagramProtocol):

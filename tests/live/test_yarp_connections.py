@@ -12,7 +12,16 @@ import pytest
 from vertebra.errors import CommandRefusedError, NameMappingError, NotConnectedError
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
-from vertebra.yarp import Incoming, NameClient, NameServer, Port, PortNotFoundError, encode
+from vertebra.yarp import (
+    Incoming,
+    NameClient,
+    NameServer,
+    Port,
+    PortNotFoundError,
+    RpcClient,
+    Vocab,
+    encode,
+)
 from vertebra.yarp.connections import (
     NoSuchConnectionError,
     PortConnection,
@@ -100,8 +109,20 @@ async def test_a_carrier_that_the_port_does_not_speak_is_refused_in_its_words(
             await connect(names, "/a", "/b", 'tcp" "x')
 
 
+async def test_the_slash_of_the_name_is_merged_where_a_carrier_comes_before_it(
+    names: NameClient,
+) -> None:
+    async with await Port.open("/a", names) as a, await Port.open("/b", names):
+        async with await RpcClient.connect("/a", names) as tool:
+            unmerged = await tool.administer([Vocab("add"), "tcp:///b"], timeout_s=5)
+        assert unmerged[0] != 0
+        assert a.outputs == []
+        await connect(names, "/a", "/b", "fast_tcp")
+        assert [(each.peer, each.carrier) for each in a.outputs] == [("/b", "fast_tcp")]
+
+
 @pytest.mark.parametrize("carrier", ["text", "text_ack", "text+log.in"])
-async def test_trap_12_text_from_a_streaming_port_crashes_it_and_is_never_asked_for(
+async def test_text_from_a_streaming_port_crashes_it_and_is_never_asked_for(
     names: NameClient, carrier: str
 ) -> None:
     async with await Port.open("/a", names) as a, await Port.open("/b", names):

@@ -418,7 +418,7 @@ async def test_the_name_server_reaches_us_where_it_tells_others(names: NameClien
     assert [each.name for each in await names.list_ports()] == ["/root"]
 
 
-async def test_trap_15_an_address_where_nobody_reaches_us_is_noticed(names: NameClient) -> None:
+async def test_an_address_where_nobody_reaches_us_is_noticed(names: NameClient) -> None:
     finding = await check_yarp_address(
         names, bind_host="127.0.0.1", advertise_host="192.0.2.1", timeout_s=0.3
     )

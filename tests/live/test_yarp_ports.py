@@ -158,6 +158,20 @@ async def test_a_port_on_all_interfaces_registers_the_address_it_is_seen_from(
         assert port.contact.host == "10.0.0.7"
 
 
+async def test_ports_listen_where_they_are_told_and_not_on_all_interfaces_as_in_yarp(
+    names: NameClient,
+) -> None:
+    elsewhere = "127.0.0.2"  # also this machine
+    async with await Port.open("/a", names) as port:
+        for tcp_port in (port.contact.tcp_port, names.tcp_port):
+            with pytest.raises(ConnectionRefusedError):
+                await asyncio.open_connection(elsewhere, tcp_port)
+    async with await Port.open("/a", names, bind_host="0.0.0.0") as port:
+        _, writer = await asyncio.open_connection(elsewhere, port.contact.tcp_port)
+        writer.close()
+        await writer.wait_closed()
+
+
 async def test_an_open_that_fails_leaves_nothing_behind(names: NameClient) -> None:
     nobody = NameClient("127.0.0.1", 1)
     with pytest.raises(NotConnectedError, match=r"127\.0\.0\.1:1"):
@@ -190,6 +204,23 @@ async def test_data_passes_over_every_carrier(names: NameClient, carrier: str) -
         assert not await writer.disconnect("/in")
         await eventually(lambda: not reader.inputs)
         assert reader.received.messages == 2
+
+
+async def test_one_tcp_port_serves_all_carriers_and_the_first_eight_bytes_decide(
+    names: NameClient,
+) -> None:
+    async with (
+        await Port.open("/in", names, on_data=Inbox()) as port,
+        raw_peer(port, greeting(TCP, "/a")),
+        raw_peer(port, greeting(FAST_TCP, "/b")),
+        raw_peer(port) as text,
+        raw_peer(port) as page,
+    ):
+        await text.say(b"CONNECT /c\r\n", b"Welcome /c\r\n")
+        page.writer.write(b"GET / HTTP/1.1\r\n\r\n")
+        await page.expect(b"HTTP/")
+        found = [(each.peer, each.carrier) for each in port.inputs]
+        assert found[:3] == [("/a", "tcp"), ("/b", "fast_tcp"), ("/c", "text")]
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
@@ -896,6 +927,7 @@ async def test_a_reader_that_goes_is_not_waited_for(names: NameClient) -> None:
 
 
 async def test_the_newest_message_waits_for_a_busy_reader(names: NameClient) -> None:
+    """What a busy connection cannot take is counted; YARP's `write(false)` drops it in silence."""
     async with (
         await Port.open("/out", names, dialect=Dialect.V3) as source,
         raw_peer(source, greeting(TCP, "/slow")) as slow,

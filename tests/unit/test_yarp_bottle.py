@@ -145,6 +145,23 @@ def test_bytes_of_the_reference(bottle: Sequence[Value], expected: str) -> None:
     assert encode(bottle) == bytes.fromhex(expected)
 
 
+def test_dicts_repeat_the_bottle_header_and_lists_do_not() -> None:
+    entries: list[Value] = [["k", 1.5]]
+    bottle = encode(entries)
+    before = encode(["x", []])[:-8]  # what comes before the second value
+    assert encode(["x", entries]) == before + bottle  # its header is the tag of the value
+    assert encode(["x", Dict(entries)]) == before + b"\0\3\0\0" + bottle
+    for value in (entries, Dict(entries)):
+        assert typed(decode(encode(["x", value]))) == typed(["x", value])
+
+
+def test_lists_of_one_type_omit_the_tags_and_lists_of_lists_never_do() -> None:
+    ints, lists = encode([1, 2]), encode([[1], [2]])
+    assert ints == struct.pack("<iiii", 0x101, 2, 1, 2)
+    assert lists == struct.pack("<ii", 0x100, 2) + encode([1]) + encode([2])
+    assert decode(lists) == [[1], [2]]
+
+
 @pytest.mark.parametrize(
     ("payload", "bottle"),
     [

@@ -120,7 +120,7 @@ def test_a_port_number_that_cannot_be(number: str) -> None:
         (None, "0.0.0.0", "", None),
     ],
 )
-def test_trap_15_the_address_that_others_are_told(
+def test_the_address_that_others_are_told(
     wanted: str | None, bind_host: str, yarp_ip: str, expected: str | None
 ) -> None:
     addresses = ["127.0.0.1", "192.168.1.5", "10.0.0.5"]

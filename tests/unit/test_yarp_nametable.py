@@ -90,7 +90,7 @@ def test_a_value_cannot_end_a_line() -> None:
     assert ask(table, "set", "/a", "k", "v\r\nw") == r"port /a property k = v\r\nw"
 
 
-def test_trap_16_names_are_quoted_in_bot_replies_only() -> None:
+def test_names_are_quoted_in_bot_replies_only() -> None:
     table = NameTable()
     ask(table, "register", "/a", "tcp", "h", 17)
     assert table.answer(["bot", "query", "/a"], "") == [
@@ -122,7 +122,7 @@ def test_some_bot_requests_are_answered_in_lines_all_the_same() -> None:
     assert ask(table, "bot", "frobnicate") == ""
 
 
-def test_trap_15_an_address_is_chosen_by_network() -> None:
+def test_an_address_is_chosen_by_network() -> None:
     table = NameTable()
     ask(table, "register", "/a", "tcp", "10.0.0.7", 17)
     ask(table, "set", "/a", "ips", "10.0.0.7", "192.168.1.7")

@@ -127,7 +127,9 @@ def test_images_come_back(dialect: Dialect, image: Image) -> None:
     ("width", "pixel_bytes", "quantum", "expected"),
     [(3, 3, 8, 16), (320, 3, 8, 960), (5, 1, 4, 8), (3, 3, 1, 9), (3, 3, 0, 9), (0, 3, 8, 0)],
 )
-def test_rows_are_padded(width: int, pixel_bytes: int, quantum: int, expected: int) -> None:
+def test_rows_are_padded_to_whole_quanta(
+    width: int, pixel_bytes: int, quantum: int, expected: int
+) -> None:
     assert row_bytes(width, pixel_bytes, quantum) == expected
 
 
@@ -151,7 +153,7 @@ def test_padding_is_left_out() -> None:
     assert Image.from_packed("rgb", 640, 480, bytes(921600)).quantum == 8
 
 
-def test_the_flag_of_yarp_3_is_masked() -> None:
+def test_the_flag_in_the_upper_half_of_the_quantum_word_is_masked() -> None:
     payload = bytearray(Image("mono", 8, 1, bytes(8)).encode())
     payload[42:44] = b"\1\0"
 

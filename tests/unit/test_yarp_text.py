@@ -16,6 +16,7 @@ from vertebra.yarp.bottle import (
     Value,
     Vocab,
     Vocab64,
+    decode,
     encode,
 )
 from vertebra.yarp.dialect import Dialect
@@ -117,6 +118,17 @@ def test_printing(bottle: list[Value], expected: str) -> None:
 )
 def test_reading(text: str, expected: list[Value]) -> None:
     assert encode(from_text(text)) == encode(expected)
+
+
+def test_floats_have_21_digits_in_text() -> None:
+    assert to_text([0.1, 1 / 3]) == "0.100000000000000005551 0.33333333333333331483"
+    assert from_text(to_text([0.1, 1 / 3])) == [0.1, 1 / 3]
+
+
+def test_null_and_booleans_are_vocabs() -> None:
+    assert encode(from_text("null true")) == encode([Vocab("null"), Vocab("1")])
+    assert encode([True, False]) == encode([Vocab("1"), Vocab("")])
+    assert [type(value) for value in decode(encode(from_text("null true")))] == [Vocab, bool]
 
 
 def test_long_words_are_vocabs_of_eight_bytes_in_yarp_4() -> None:

@@ -202,6 +202,14 @@ def test_the_envelope_is_what_follows_the_letter() -> None:
     assert event.envelope == "41 1234.5"
 
 
+def test_an_envelope_ends_at_its_nul_and_its_length_field_is_ignored() -> None:
+    raw = b"".join(binary_message(command("D", "41 1234.5"), (b"x",)))
+    length = struct.pack("<i", len(b"D 41 1234.5\0"))
+    for claimed in (0, 3, 1_000_000):
+        changed = raw.replace(length + b"~", struct.pack("<i", claimed) + b"~")
+        assert plain(feed(Receiver(LIMITS, TCP), changed)) == [("D 41 1234.5", b"x")]
+
+
 def test_a_large_payload_is_received_in_place() -> None:
     receiver = Receiver(LIMITS, TCP)
     raw = message(bytes(200_000))
@@ -367,7 +375,9 @@ def reply_receiver() -> Receiver:
         ["x" * 100_000],
     ],
 )
-def test_a_reply_ends_where_its_bottle_ends(values: list[Value], step: int) -> None:
+def test_a_reply_has_no_index_and_no_length_and_ends_where_its_bottle_ends(
+    values: list[Value], step: int
+) -> None:
     raw = encode(values) + ACK
     assert feed(reply_receiver(), raw, step) == [CallReply(values)]
 

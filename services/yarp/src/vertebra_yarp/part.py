@@ -35,8 +35,10 @@ from vertebra_yarp.velocity import Runner
 log = logging.getLogger(__name__)
 
 ARRIVED_DEG: Final = 0.1
-"""A joint this near to its target has arrived, whatever its board says."""
+"""A joint that stands this near to its target has arrived, whatever its board says."""
 ARRIVED_POLL_S: Final = 0.03
+LOOK_AGAIN_S: Final = 1.0
+"""Time between two looks for `stateExt:o`, which a robot that is starting opens after `state:o`."""
 
 
 class PartState(InboundStream):
@@ -52,10 +54,30 @@ class PartState(InboundStream):
 
     async def _read(self) -> str:
         extended = f"{self._part.name}/stateExt:o"
-        self._extended = await self.kit.transport.names.query(extended) is not None
+        self._extended = await self._is_there(extended)
         source = extended if self._extended else f"{self._part.name}/state:o"
         self.route = msgspec.structs.replace(self.route, yarp=source)
-        return await super()._read()
+        if self._extended:
+            return await super()._read()
+        reading = asyncio.create_task(super()._read())
+        better = asyncio.create_task(self._wait_for(extended))
+        try:
+            await asyncio.wait([reading, better], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            reading.cancel()
+            better.cancel()
+            await asyncio.wait([reading, better])
+        return better.result() if reading.cancelled() else reading.result()
+
+    async def _is_there(self, name: str) -> bool:
+        return await self.kit.transport.names.query(name) is not None
+
+    async def _wait_for(self, name: str) -> str:
+        while True:
+            await asyncio.sleep(LOOK_AGAIN_S)
+            with contextlib.suppress(TransportError):  # who follows the names tells of it
+                if await self._is_there(name):
+                    return f"{name} has appeared, and tells more"
 
     def to_message(self, incoming: Incoming) -> Message:
         """Return the joint state; raise `DecodeError`, also before the joints are known."""
@@ -262,12 +284,7 @@ class Part(Device):
                 await self._set_speeds(dict.fromkeys(move.positions_deg, move.velocity_deg_s))
             targets = [*map(float, move.positions_deg.values())]
             await self._ask(self._words.move(indices, targets))
-        reached = False
-        # A later command takes this one's place; what it reached then is where it is now.
-        while move.wait and not reached and number == self._commands:
-            reached = await self._has_arrived(indices, move.positions_deg)
-            if not reached:
-                await asyncio.sleep(ARRIVED_POLL_S)
+        reached = move.wait and await self._wait_arrived(number, indices, move.positions_deg)
         return {
             "reached": reached,
             "positions_deg": await self._positions(),
@@ -275,13 +292,23 @@ class Part(Device):
             "duration_s": round(time.monotonic() - began_s, 3),
         }
 
-    async def _has_arrived(self, indices: Sequence[int], targets_deg: dict[str, float]) -> bool:
-        (done,) = words.numbers_of(await self._ask(self._words.arrived(indices)), 1)
-        if done:
-            return True
-        # Some boards never say so, for example the `fakeMotionControl` of YARP 3.12.
-        positions = await self._positions()
-        return all(abs(positions[name] - deg) <= ARRIVED_DEG for name, deg in targets_deg.items())
+    async def _wait_arrived(
+        self, number: int, indices: Sequence[int], targets_deg: dict[str, float]
+    ) -> bool:
+        """Wait until a move is done; False if a later command has taken its place."""
+        seen: dict[str, float] = {}
+        while number == self._commands:
+            (done,) = words.numbers_of(await self._ask(self._words.arrived(indices)), 1)
+            if done:
+                return True
+            # Some boards never say so, for example the `fakeMotionControl` of YARP 3.12.
+            positions = await self._positions()
+            before, seen = seen, {name: positions[name] for name in targets_deg}
+            near = all(abs(seen[name] - deg) <= ARRIVED_DEG for name, deg in targets_deg.items())
+            if near and seen == before:
+                return True
+            await asyncio.sleep(ARRIVED_POLL_S)
+        return False
 
     async def _run(self, command: board.Velocity) -> None:
         indices = self._indices(command.velocities_deg_s)

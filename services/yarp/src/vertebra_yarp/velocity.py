@@ -66,13 +66,14 @@ class Runner:
         loop = asyncio.get_running_loop()
         try:
             while True:
-                while (left_s := self._until_s - loop.time()) > 0:
-                    await self._say(self.joints, self._velocities)
-                    await asyncio.sleep(min(PERIOD_S, left_s))
+                # A turn for each time: a joint that is being stopped must not be told to run.
                 async with self._turn:
-                    if self._until_s <= loop.time():  # nobody asked for more while we waited
+                    left_s = self._until_s - loop.time()
+                    if left_s <= 0:  # nobody asked for more while we waited
                         joints, self.joints = self.joints, ()
                         await self._stop(joints)
                         return
+                    await self._say(self.joints, self._velocities)
+                await asyncio.sleep(min(PERIOD_S, left_s))
         except TransportError as error:
             log.error("%s was lost while its joints ran: %s", self._name, error)  # noqa: TRY400
