@@ -103,15 +103,19 @@ async def rage(seed: int, *targets: Target) -> Counter[str]:
 
 @dataclass
 class Bystanders:
-    """Good peers, each on the one connection that it had from the beginning."""
+    """Good peers, each on the one connection that it had from the beginning.
 
+    They are asked to end, not cancelled: whoever gives up a call gives up its connection.
+    """
+
+    leaving: bool = False
     sent: int = 0
     read: list[int] = field(default_factory=list)
     called: int = 0
     asked: int = 0
 
     async def write(self, port: Port) -> None:
-        while True:
+        while not self.leaving:
             port.write(encode([self.sent]))
             self.sent += 1
             await asyncio.sleep(PERIOD_S)
@@ -122,13 +126,13 @@ class Bystanders:
         self.read.append(number)
 
     async def call(self, client: RpcClient) -> None:
-        while True:
+        while not self.leaving:
             assert await client.call([self.called], timeout_s=CALL_S) == [self.called]
             self.called += 1
             await asyncio.sleep(PERIOD_S)
 
     async def ask(self, client: RpcClient, contact: Contact) -> None:
-        while True:
+        while not self.leaving:
             reply = await client.call(["bot", "query", contact.name], timeout_s=CALL_S)
             assert ["port_number", contact.tcp_port] in reply
             self.asked += 1
@@ -155,16 +159,13 @@ async def test_bad_peers_cost_nothing_and_disturb_nobody() -> None:
         asker = await enter(await RpcClient.connect("/root", names))
 
         async with asyncio.TaskGroup() as group:
-            good = [
+            for work in (by.write(writer), by.call(caller), by.ask(asker, kept)):
                 group.create_task(work)
-                for work in (by.write(writer), by.call(caller), by.ask(asker, kept))
-            ]
             for number in range(ROUNDS):
                 did += await rage(SEED + number, fuzzed_port, fuzzed_names)
                 for target in (fuzzed_port, fuzzed_names):
                     await target.health()
-            for task in good:
-                task.cancel()
+            by.leaving = True
 
         await eventually(lambda: output.counters.messages == by.sent)
         assert not any(link.closed for link in (output, reader, caller, asker))
