@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from vertebra.yarp.admin import administer
+from vertebra.yarp.admin import TEXT_HELP, administer, obey
 from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.names import Contact
 from vertebra.yarp.nametable import NameTable, TableClient
@@ -24,8 +24,8 @@ PROPERTY_OF_NOBODY = "[prop] [set] /nope (qos ((tos 0)))"
 """YARP says [fail], and keeps the property nevertheless; ours says why and does not."""
 
 
-async def test_a_port_answers_tools_in_the_words_of_yarp() -> None:
-    board = Switchboard(
+def board_of_nobody() -> Switchboard:
+    return Switchboard(
         Contact("/c/a", "tcp", "127.0.0.1", 10002),
         TableClient(NameTable()),
         on_data=None,
@@ -35,6 +35,15 @@ async def test_a_port_answers_tools_in_the_words_of_yarp() -> None:
         dialect=Dialect.V3,
         limits=DEFAULT_LIMITS,
     )
+
+
+async def test_help_is_asked_for_by_two_letters() -> None:
+    for letter in ("?", "h"):
+        assert await obey(board_of_nobody(), letter) == [*TEXT_HELP]
+
+
+async def test_a_port_answers_tools_in_the_words_of_yarp() -> None:
+    board = board_of_nobody()
     for request, reply in REPLIES:
         said = to_text(await administer(board, from_text(request)), Dialect.V3)
         if request in INCOMPLETE:

@@ -279,6 +279,48 @@ async def test_a_port_that_cannot_be_reached_keeps_nobody_waiting(
     assert [*server._matchmaker._tasks] == [("/a", "/b")]  # and closing the server ends it
 
 
+# --- its page ---
+
+LINK = '<a href="http://127.0.0.1:10002">/py/a</A>                          (tcp://py/a)'  # 3.12.3
+
+
+async def browse(server: NameServer, target: str) -> str:
+    place = server.contact.host, server.contact.tcp_port
+    reader, writer = await asyncio.open_connection(*place)
+    try:
+        writer.write(f"GET {target} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        async with asyncio.timeout(TIMEOUT_S):
+            return (await reader.read()).decode()
+    finally:
+        writer.close()
+        await writer.wait_closed()
+
+
+async def test_the_page_of_a_name_server_shows_the_ports_escaped(
+    server: NameServer, names: NameClient
+) -> None:
+    await names.register("/py/a", host="127.0.0.1", tcp_port=10002)
+    await names.register("/<b>", host="127.0.0.1", tcp_port=10003)
+    for target in ("/", "/data=list"):
+        page = await browse(server, target)
+        assert LINK in page.splitlines()
+        assert "/&lt;b&gt;</A>" in page
+        assert "<b>" not in page
+        assert f'<a href="http://127.0.0.1:{server.contact.tcp_port}/data=list">All ports' in page
+
+
+@pytest.mark.parametrize("change", ["register+/evil", "unregister+/py/a", "bot+set+/py/a+k+1"])
+async def test_over_http_a_name_server_changes_nothing(
+    server: NameServer, names: NameClient, change: str
+) -> None:
+    await names.register("/py/a", host="127.0.0.1", tcp_port=10002)
+    for target in (f"/?req={change}", f"/data={change}"):
+        assert "changes nothing" in await browse(server, target)
+    assert {contact.name for contact in await names.list_ports()} == {"/root", "/py/a"}
+    async with await RpcClient.connect("/root", names) as client:
+        assert await client.call(["bot", "get", "/py/a", "k"], timeout_s=TIMEOUT_S) == []
+
+
 # --- discovery ---
 
 LOOPBACK = ["127.0.0.1"]

@@ -884,6 +884,24 @@ async def test_a_queue_sends_some_messages_ahead_of_their_acks(names: NameClient
         await slow.expect(b"".join(message(encode([number])) for number in range(8, 16)))
 
 
+async def test_an_ack_too_many_is_no_fault(
+    names: NameClient, caplog: pytest.LogCaptureFixture
+) -> None:
+    """YARP 3.12.3 acks once more where a newer connection from us has replaced the old one."""
+    async with (
+        await Port.open("/out", names) as source,
+        raw_peer(source, greeting(TCP, "/reader")) as peer,
+    ):
+        await peer.say(reverse_message(), ACK)
+        peer.writer.write(ACK * 2)
+        source.write(encode([1]))
+        await peer.expect(message(encode([1])))
+        peer.writer.write(ACK)
+        await source.wait_for_room()
+        assert [output.peer for output in source.outputs] == ["/reader"]
+    assert caplog.messages == []
+
+
 async def test_who_waits_for_room_loses_nothing(names: NameClient) -> None:
     inbox = Inbox()
     async with (

@@ -131,7 +131,7 @@ async def obey(board: Switchboard, command: str) -> list[str]:
     """Return the lines that answer what a person types on a text carrier."""
     if command == "*":
         return describe(board)
-    if command == "?":
+    if command in ("?", "h"):
         return [*TEXT_HELP]
     if command.startswith("/"):
         return [_line(await connect(board, command))]

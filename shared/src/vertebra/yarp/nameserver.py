@@ -16,6 +16,7 @@ from typing import Final, Self
 
 from vertebra.errors import TransportError, VertebraError
 from vertebra.yarp.addresses import WILDCARDS, address_towards, own_addresses
+from vertebra.yarp.admin import fail
 from vertebra.yarp.conf import DEFAULT_TCP_PORT, ROOT
 from vertebra.yarp.connections import NoSuchConnectionError, connect, disconnect
 from vertebra.yarp.dialect import Dialect
@@ -23,10 +24,10 @@ from vertebra.yarp.discovery import GROUP, Responder
 from vertebra.yarp.incoming import Incoming, Reply
 from vertebra.yarp.link import PortNotFoundError
 from vertebra.yarp.names import Contact, NameClient
-from vertebra.yarp.nametable import NameTable, TableClient
+from vertebra.yarp.nametable import NameTable, TableClient, is_question
 from vertebra.yarp.port import Port
 from vertebra.yarp.subscriptions import Match
-from vertebra.yarp.wire import DEFAULT_LIMITS, PeerLimits
+from vertebra.yarp.wire import DEFAULT_LIMITS, HTTP, PeerLimits
 
 log = logging.getLogger(__name__)
 
@@ -79,11 +80,15 @@ class NameServer:
         matchmaker.names = TableClient(table)
 
         async def answer(incoming: Incoming) -> Reply:
-            return table.answer(incoming.bottle(), incoming.sender_host)
+            request = incoming.bottle()
+            if incoming.carrier == HTTP.name and not is_question(request):
+                return fail("over http a name server tells, but changes nothing")
+            return table.answer(request, incoming.sender_host)
 
+        names = TableClient(table)
         port = await Port.open(
             namespace,
-            TableClient(table),
+            names,
             on_call=answer,
             bind_host=bind_host,
             advertise_host=advertise_host,
@@ -92,6 +97,7 @@ class NameServer:
             limits=replace(limits, max_message_bytes=_MAX_REQUEST_BYTES),
             env={},
         )
+        names.host, names.tcp_port = port.contact.host, port.contact.tcp_port
         table.give_tcp_ports_from(port.contact.tcp_port + 2)
         table.answer(["set", namespace, "nameserver", "true"], "")
         server = cls(port, table, matchmaker)

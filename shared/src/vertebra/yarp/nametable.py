@@ -30,6 +30,7 @@ _MAX_PROPERTY_CHARACTERS: Final = 16 * 1024  # of all properties of a port
 _WORD: Final = re.compile(r"""[^\s"'(){}\[\]\\,\x00-\x1f\x7f]{1,1000}""")
 """What can be a name, a host or a carrier; anything else would break the lines of replies."""
 
+_QUESTIONS: Final = frozenset({"check", "get", "help", "list", "query", "route", "runners"})
 _HELP: Final = (
     "+ help",
     "+ list [$prefix]",
@@ -295,6 +296,12 @@ class NameTable:
             self._on_match(each)
 
 
+def is_question(request: Sequence[Value]) -> bool:
+    """Tell whether a request changes nothing."""
+    words = (_string(word) for word in request)
+    return next((word for word in words if word not in ("NAME_SERVER", "bot")), "") in _QUESTIONS
+
+
 class TableClient(NameClient):
     """A client of a table in the same process."""
 
@@ -347,7 +354,7 @@ def _text_at(words: Sequence[Value], index: int) -> str:
 
 def _parsed(text: str) -> Value:
     values = from_text(text)
-    return values[0] if len(values) == 1 else values
+    return values[0] if len(values) == 1 else text
 
 
 def _registration(contact: Contact) -> list[Value]:

@@ -253,8 +253,9 @@ class Output(Link):
             self._room.set()
 
     def _on_event(self, event: Event) -> None:
-        if self._unacknowledged and _is_ack(event):
-            self._unacknowledged -= 1
+        if _is_ack(event):
+            # A reader who ends our connection because we have made another one acks once more.
+            self._unacknowledged = max(0, self._unacknowledged - 1)
             if self._unacknowledged <= self._ahead // 2:  # several leave at once, as they came
                 self._flush()
         elif not (isinstance(event, Message) and event.command == ""):
