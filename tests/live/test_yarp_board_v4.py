@@ -97,7 +97,7 @@ async def lab(tmp_path: Path) -> AsyncIterator[tuple[Board, MemoryBus]]:
         name = "/four/head"
         commands = await Port.open(f"{name}/command:i", names, dialect=V4, on_data=board.command)
         states = await Port.open(f"{name}/stateExt:o", names, dialect=V4)
-        rpc = await Port.open(f"{name}/rpc:i", names, dialect=V4, on_call=board.answer)
+        rpc = await Port.open(f"{name}/nws/rpc:i", names, dialect=V4, on_call=board.answer)
         for port in (commands, states, rpc):
             await stack.enter_async_context(port)
         streaming = asyncio.create_task(board.stream(states))

@@ -106,7 +106,7 @@ def test_bot_properties_are_values() -> None:
     table = NameTable()
     table.answer(["register", "/a"], "h")
     # yarpserver 3.12.3 answers `"1 2" 1.5 17 vo "x y"`: several values in one are a string.
-    request = ["bot", "set", "/a", "foo", "x y", 17, [1, 2], Vocab("vo"), 1.5]
+    request: list[Value] = ["bot", "set", "/a", "foo", "x y", 17, [1, 2], Vocab("vo"), 1.5]
     assert table.answer(request, "") == ["1 2", 1.5, 17, "vo", "x y"]
     assert table.answer(["bot", "set", "/nope", "k", 1], "") == []
     assert table.answer(["bot", "get", "/nope", "k"], "") == []

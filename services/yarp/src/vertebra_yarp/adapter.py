@@ -230,7 +230,7 @@ def leaves_of(route: Route) -> tuple[str, ...]:
     """Return the YARP ports below the name of a route that it cares for."""
     match route:
         case ControlBoard():
-            return ("state:o", "stateExt:o", "rpc:i", "command:i")
+            return ("state:o", "stateExt:o", "rpc:i", "nws/rpc:i", "command:i")
         case GazeRoute():
             return ("rpc", "xd:i", "angles:i", "mono:i", "target:i")
     return ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Final
 
 import msgspec
@@ -11,7 +12,7 @@ from vertebra.bus import Reply, Request
 from vertebra.codec import to_json_value
 from vertebra.errors import CodecError, CommandRefusedError, TransportError, VertebraError
 from vertebra.messages import Bottle
-from vertebra.yarp import Incoming, Value, Vocab, from_text, to_text
+from vertebra.yarp import Incoming, PortNotFoundError, Value, Vocab, from_text, to_text
 from vertebra_yarp import mapping
 from vertebra_yarp.carried import Carried, Kit
 from vertebra_yarp.driver import Caller, Transport
@@ -22,10 +23,24 @@ JSON: Final = "application/json"
 
 
 class RpcLink(Redialled[Caller]):
-    """A connection to an RPC port that is made when needed and again after a loss."""
+    """A connection to an RPC port that is made when needed and again after a loss.
 
-    def __init__(self, transport: Transport, name: str) -> None:
-        super().__init__(lambda: transport.dial(name))
+    Args:
+        name: Of the port.
+        newer_name: What it is called in newer robots; dialled where it is registered.
+    """
+
+    def __init__(self, transport: Transport, name: str, newer_name: str = "") -> None:
+        super().__init__(self._dial_either)
+        self._transport = transport
+        self._name = name
+        self._newer_name = newer_name
+
+    async def _dial_either(self) -> Caller:
+        if self._newer_name:
+            with contextlib.suppress(PortNotFoundError):
+                return await self._transport.dial(self._newer_name)
+        return await self._transport.dial(self._name)
 
     async def caller(self) -> Caller:
         """Return a connection that was alive a moment ago; raise `TransportError`."""

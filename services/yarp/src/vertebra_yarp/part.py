@@ -109,7 +109,8 @@ class Part(Device):
         self.route = route
         self.joints: tuple[board.Joint, ...] = ()
         self._words = words.words_of(Dialect.V3)
-        self._link = RpcLink(kit.transport, f"{route.yarp}/rpc:i")
+        # YARP 4.0 has renamed this port of `controlBoard_nws_yarp`, and no other.
+        self._link = RpcLink(kit.transport, f"{route.yarp}/rpc:i", f"{route.yarp}/nws/rpc:i")
         self._stream = Redialled(lambda: self.dial_input(f"{route.yarp}/command:i"))
         self._state: PartState | None = None
         self._turn = asyncio.Lock()

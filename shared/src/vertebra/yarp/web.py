@@ -1,6 +1,6 @@
 """The carrier http: what a port shows to a browser, and how scripts call its owner.
 
-    GET /                      a page that describes the port; of a name server, with all ports
+    GET /                      a page that describes the port
     GET /data=list             a page with the owner's reply to the bottle `list`
     POST /form  data=list      the same, from the field on that page
     GET /?req=bot%20list       the reply as JSON; with `&admin=1` that of the port itself
@@ -46,8 +46,7 @@ async def answer(board: Switchboard, request: Request, ask_owner: AskOwner) -> b
         text = fields["data"]
         return _page(board, text, _lines(await ask_owner(text)))
     if request.target == "/":
-        ports = _lines(await ask_owner("list")) if _is_name_server(board) else ()
-        return _page(board, "", (*describe(board), *filter(parse_registration, ports)))
+        return _page(board, "", describe(board))
     return _plain("404 Not Found", "A YARP port has / and /data=... and /?req=... and /form.")
 
 
@@ -73,11 +72,6 @@ def _plain_value(value: Value) -> object:
     if isinstance(value, str | int | float):
         return value
     return to_text([value])
-
-
-def _is_name_server(board: Switchboard) -> bool:
-    place = (board.names.host, board.names.tcp_port)
-    return place == (board.contact.host, board.contact.tcp_port)
 
 
 def _is_from_elsewhere(request: Request) -> bool:
