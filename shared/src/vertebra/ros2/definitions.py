@@ -1,0 +1,322 @@
+"""ROS 2 types, known at run time: the standard packages, and folders of `.msg .srv .action .idl`.
+
+A service is three types more than its name says (`_Request`, `_Response`, `_Event`), an action
+is nine; they are derived here as rosidl derives them. `Types.hash_of` is RIHS01 of REP 2016.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal, Self
+
+from msgspec import Struct
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typestore
+
+from vertebra.errors import CodecNotFoundError, ConfigError
+
+INTERFACES: Final = Path(__file__).parent / "interfaces"
+"""Standard services and ROS4HRI's messages, which the type store of rosbags does not hold."""
+
+PRIMITIVES: Final = {
+    "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8,
+    "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17, "wstring": 18,
+}  # fmt: skip
+"""Every primitive type and its number in a type description."""
+
+_NESTED: Final = 1
+_BOUNDED_TEXT: Final = 4
+_PLURAL: Final = {"one": 0, "array": 48, "bounded": 96, "sequence": 144}
+_FIELD: Final = re.compile(
+    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(<=(?P<text>\d+))?(?P<many>\[(?P<most><=)?(?P<count>\d*)\])?"
+    r"\s+(?P<name>[A-Za-z][A-Za-z0-9_]*)(\s+(?P<default>[^=\s].*))?"
+)
+_CONSTANT: Final = re.compile(r"[A-Za-z0-9]+(<=\d+)?\s+[A-Za-z][A-Za-z0-9_]*\s*=.*")
+_QUOTED: Final = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'(?:[^'\\]|\\.)*'")
+_SECTION: Final = re.compile(r"^---.*$", re.MULTILINE)
+_ALIASES: Final = {"char": "uint8", "float": "float32", "double": "float64", "octet": "byte"}
+
+
+class Field(Struct, frozen=True):
+    """One member of a type.
+
+    Attributes:
+        name: What it is called.
+        type: A primitive (see `PRIMITIVES`) or the full name of another type.
+        plural: How many there are: one, exactly `count`, at most `count`, or any number.
+        count: Of an array or a bounded sequence.
+        max_text: Most characters of a bounded string; 0 for any number.
+    """
+
+    name: str
+    type: str
+    plural: Literal["one", "array", "bounded", "sequence"] = "one"
+    count: int = 0
+    max_text: int = 0
+
+    def __str__(self) -> str:
+        bound = f"<={self.max_text}" if self.max_text else ""
+        many = {
+            "one": "",
+            "array": f"[{self.count}]",
+            "bounded": f"[<={self.count}]",
+            "sequence": "[]",
+        }[self.plural]
+        return f"{self.type}{bound}{many} {self.name}"
+
+
+Definition = tuple[Field, ...]
+_EMPTY: Final[Definition] = (Field("structure_needs_at_least_one_member", "uint8"),)
+
+
+class Types:
+    """Definitions by full name, such as `sensor_msgs/msg/Image`."""
+
+    def __init__(self) -> None:
+        self._definitions: dict[str, Definition] = {}
+        self._sources: dict[str, str] = {}
+        self._hashes: dict[str, str] = {}
+
+    @classmethod
+    def standard(cls, *folders: Path) -> Self:
+        """Return the types of ROS 2 Jazzy, and those in `folders`; reads files.
+
+        Raises:
+            ConfigError: A file is wrong, or says something else than another one.
+        """
+        types = cls()
+        store = get_typestore(Stores.ROS2_JAZZY)
+        for name, (_, members) in store.fielddefs.items():
+            types._add(name, _definition(members), "ROS 2 Jazzy")
+        for folder in (INTERFACES, *folders):
+            types.add_folder(folder)
+        return types
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._definitions
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._definitions)
+
+    def definition(self, name: str) -> Definition:
+        """Return the fields of a type.
+
+        Raises:
+            CodecNotFoundError: It is not known, or one that it is made of.
+        """
+        try:
+            return self._definitions[name]
+        except KeyError:
+            raise CodecNotFoundError(
+                f"the ROS type {name} is not known here; put the folder of its package, with "
+                "msg/, srv/ and action/ in it, where VERTEBRA_ROS2_TYPES points"
+            ) from None
+
+    def add_folder(self, folder: Path) -> None:
+        """Add every definition in `<folder>/**/<package>/{msg,srv,action}/`.
+
+        Raises:
+            ConfigError: A file is wrong, or says something else than another one.
+        """
+        if not folder.is_dir():
+            raise ConfigError(f"the folder of ROS types {str(folder)!r} does not exist")
+        for file in sorted(folder.rglob("*.*")):
+            kind = file.parent.name
+            if kind not in ("msg", "srv", "action") or file.suffix not in (f".{kind}", ".idl"):
+                continue
+            text = file.read_text(encoding="utf-8")
+            if file.suffix == ".idl":
+                self.add_idl(text, str(file))
+            else:
+                self.add_text(f"{file.parent.parent.name}/{kind}/{file.stem}", text, str(file))
+
+    def add_text(self, name: str, text: str, where: str) -> None:
+        """Add a `.msg`, `.srv` or `.action`; which one is in the middle of `name`.
+
+        Raises:
+            ConfigError: A line is wrong, or `name` is known with other fields.
+        """
+        package, kind, _ = name.split("/")
+        parts = _SECTION.split(text)
+        wanted = {"msg": 1, "srv": 2, "action": 3}[kind]
+        if len(parts) != wanted:
+            raise ConfigError(f"{where}: a .{kind} has {wanted} parts, not {len(parts)}")
+        line = 1
+        definitions = []
+        for part in parts:
+            definitions.append(_parse(package, part, where, line))
+            line += part.count("\n") + (not part.endswith("\n"))
+        if kind == "msg":
+            self._add(name, definitions[0], where)
+        elif kind == "srv":
+            self._add_service(name, definitions[0], definitions[1], where)
+        else:
+            goal, result, feedback = definitions
+            self._add_action(name, goal, result, feedback, where)
+
+    def add_idl(self, text: str, where: str) -> None:
+        """Add the structs of an `.idl`; those of services and actions complete their kind.
+
+        Raises:
+            ConfigError: It cannot be read, or a type is known with other fields.
+        """
+        try:
+            found = get_types_from_idl(text)
+        except TypesysError as error:
+            reason = str(error).partition("\n")[0]
+            raise ConfigError(f"{where}: this IDL cannot be read: {reason}") from error
+        structs = {name: _definition(members) for name, (_, members) in found.items()}
+        for name, fields in structs.items():
+            base, _, part = name.rpartition("_")
+            if part == "Request" and f"{base}_Response" in structs:
+                self._add_service(base, fields, structs[f"{base}_Response"], where)
+            elif part == "Goal" and {f"{base}_Result", f"{base}_Feedback"} <= structs.keys():
+                rest = (structs[f"{base}_Result"], structs[f"{base}_Feedback"])
+                self._add_action(base, fields, *rest, where)
+            else:
+                self._add(name, fields, where)
+
+    def _add(self, name: str, fields: Definition, where: str) -> None:
+        fields = fields or _EMPTY
+        known = self._definitions.get(name)
+        if known is not None and known != fields:
+            raise ConfigError(
+                f"{where}: {name} is {_words(fields)}, but {self._sources[name]} says it is "
+                f"{_words(known)}; remove one of them"
+            )
+        self._definitions[name] = fields
+        self._sources.setdefault(name, where)
+
+    def _add_service(self, name: str, request: Definition, reply: Definition, where: str) -> None:
+        self._add(f"{name}_Request", request, where)
+        self._add(f"{name}_Response", reply, where)
+        event = (
+            Field("info", "service_msgs/msg/ServiceEventInfo"),
+            Field("request", f"{name}_Request", "bounded", 1),
+            Field("response", f"{name}_Response", "bounded", 1),
+        )
+        self._add(f"{name}_Event", event, where)
+        whole = (
+            Field("request_message", f"{name}_Request"),
+            Field("response_message", f"{name}_Response"),
+            Field("event_message", f"{name}_Event"),
+        )
+        self._add(name, whole, where)
+
+    def _add_action(
+        self, name: str, goal: Definition, result: Definition, feedback: Definition, where: str
+    ) -> None:
+        for part, fields in (("Goal", goal), ("Result", result), ("Feedback", feedback)):
+            self._add(f"{name}_{part}", fields, where)
+        goal_id = Field("goal_id", "unique_identifier_msgs/msg/UUID")
+        accepted = (Field("accepted", "bool"), Field("stamp", "builtin_interfaces/msg/Time"))
+        ended = (Field("status", "int8"), Field("result", f"{name}_Result"))
+        self._add_service(
+            f"{name}_SendGoal", (goal_id, Field("goal", f"{name}_Goal")), accepted, where
+        )
+        self._add_service(f"{name}_GetResult", (goal_id,), ended, where)
+        told = (goal_id, Field("feedback", f"{name}_Feedback"))
+        self._add(f"{name}_FeedbackMessage", told, where)
+        whole = (
+            Field("goal", f"{name}_Goal"),
+            Field("result", f"{name}_Result"),
+            Field("feedback", f"{name}_Feedback"),
+            Field("send_goal_service", f"{name}_SendGoal"),
+            Field("get_result_service", f"{name}_GetResult"),
+            Field("feedback_message", f"{name}_FeedbackMessage"),
+        )
+        self._add(name, whole, where)
+
+    def hash_of(self, name: str) -> str:
+        """Return the RIHS01 hash of a type; raise `CodecNotFoundError`."""
+        if name not in self._hashes:
+            self._hashes[name] = self._hash(name)
+        return self._hashes[name]
+
+    def _hash(self, name: str) -> str:
+        found = {name: self._describe(name)}
+        waiting = [name]
+        while waiting:
+            for field in self.definition(waiting.pop()):
+                if field.type not in PRIMITIVES and field.type not in found:
+                    found[field.type] = self._describe(field.type)
+                    waiting.append(field.type)
+        own = found.pop(name)
+        document = {
+            "type_description": own,
+            "referenced_type_descriptions": [found[other] for other in sorted(found)],
+        }
+        return f"RIHS01_{hashlib.sha256(json.dumps(document).encode()).hexdigest()}"
+
+    def _describe(self, name: str) -> dict[str, Any]:
+        fields = [
+            {"name": field.name, "type": _describe_type(field)} for field in self.definition(name)
+        ]
+        return {"type_name": name, "fields": fields}
+
+
+def _describe_type(field: Field) -> dict[str, Any]:
+    number = PRIMITIVES.get(field.type, _NESTED)
+    return {
+        "type_id": number + _PLURAL[field.plural] + (_BOUNDED_TEXT if field.max_text else 0),
+        "capacity": field.count,
+        "string_capacity": field.max_text,
+        "nested_type_name": "" if field.type in PRIMITIVES else field.type,
+    }
+
+
+def _words(fields: Definition) -> str:
+    return "{" + ", ".join(map(str, fields)) + "}"
+
+
+def _parse(package: str, text: str, where: str, first_line: int) -> Definition:
+    fields: list[Field] = []
+    for number, line in enumerate(text.splitlines(), first_line):
+        bare = _QUOTED.sub("''", line).partition("#")[0].strip()
+        if not bare or _CONSTANT.fullmatch(bare):
+            continue
+        match = _FIELD.fullmatch(bare)
+        if match is None:
+            raise ConfigError(f"{where}:{number}: {line.strip()!r} is no field of a ROS type")
+        if match["name"] in {field.name for field in fields}:
+            raise ConfigError(f"{where}:{number}: there are two fields {match['name']!r}")
+        fields.append(_field(package, match.groupdict()))
+    return tuple(fields)
+
+
+def _field(package: str, parts: Mapping[str, str | None]) -> Field:
+    written = str(parts["type"])
+    written = _ALIASES.get(written, written)
+    if written in PRIMITIVES:
+        full = written
+    elif written == "Header":
+        full = "std_msgs/msg/Header"
+    else:
+        *folder, leaf = written.split("/")
+        full = f"{folder[0] if folder else package}/msg/{leaf}"
+    count = int(parts["count"] or 0)
+    plural: Literal["one", "array", "bounded", "sequence"] = "one"
+    if parts["many"]:
+        plural = "bounded" if parts["most"] else "array" if parts["count"] else "sequence"
+    return Field(str(parts["name"]), full, plural, count, int(parts["text"] or 0))
+
+
+def _definition(members: Any) -> Definition:
+    """Return the fields in rosbags' form: (name, (kind, description)) with kinds as numbers."""
+    return tuple(_of_rosbags(name, description) for name, description in members)
+
+
+def _of_rosbags(name: str, description: Any) -> Field:
+    kind, inner = description
+    plural: Literal["one", "array", "bounded", "sequence"] = "one"
+    count = 0
+    if kind in (3, 4):
+        (kind, inner), count = inner
+        plural = "array" if description[0] == 3 else "bounded" if count else "sequence"
+    if kind == 2:
+        return Field(name, inner, plural, count)
+    primitive, max_text = inner
+    return Field(name, _ALIASES.get(primitive, primitive), plural, count, max_text)
