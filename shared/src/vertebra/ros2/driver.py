@@ -1,0 +1,86 @@
+"""How ROS 2 is reached: one interface, whatever library is behind it.
+
+A driver carries payloads: CDR with its header, nothing decoded. All callbacks come in the event
+loop that opened it, and none of its methods waits for the network unless it is `async`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Protocol
+
+from vertebra.ros2.graph import Graph
+from vertebra.ros2.qos import Qos
+
+OnPayload = Callable[[bytes, int], None]
+"""Takes a payload, and when it was written (UTC, ns)."""
+OnRequest = Callable[[bytes], Awaitable[bytes | None]]
+"""Answers a request with a reply; with None, that nobody gets one."""
+
+
+class Closeable(Protocol):
+    """Something that ends with `close()`; harmless when repeated."""
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+class Reader(Closeable, Protocol):
+    """What we read of a topic.
+
+    Attributes:
+        dropped: Payloads that were let go because the event loop was late.
+    """
+
+    dropped: int
+
+
+class Writer(Closeable, Protocol):
+    """What we write of a topic."""
+
+    def write(self, payload: bytes) -> None:
+        """Send a payload; raise `TransportError` if the driver refuses it."""
+        ...
+
+
+class Client(Closeable, Protocol):
+    """Our side of a service that others offer."""
+
+    async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
+        """Send a request and return the reply.
+
+        Raises:
+            NotConnectedError: No server that this driver can reach is there.
+            DeadlineError: It did not answer in time.
+        """
+        ...
+
+
+class Transport(Protocol):
+    """One participant in the ROS graph, seen there as one node."""
+
+    @property
+    def graph(self) -> Graph:
+        """What others have; it changes as they come and go."""
+        ...
+
+    def on_graph(self, changed: Callable[[], None]) -> None:
+        """Call `changed` after each change of the graph."""
+        ...
+
+    def reader(self, name: str, type_name: str, qos: Qos, on_payload: OnPayload) -> Reader:
+        """Read a topic."""
+        ...
+
+    def writer(self, name: str, type_name: str, qos: Qos) -> Writer:
+        """Write a topic."""
+        ...
+
+    def client(self, name: str, type_name: str) -> Client:
+        """Be a client of a service; `type_name` such as `std_srvs/srv/Trigger`."""
+        ...
+
+    def server(self, name: str, type_name: str, on_request: OnRequest) -> Closeable:
+        """Offer a service."""
+        ...

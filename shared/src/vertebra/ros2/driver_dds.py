@@ -1,0 +1,249 @@
+"""The driver `dds`: a ROS 2 node made of the `cyclonedds` wheel, no ROS on the machine.
+
+Payloads pass through undecoded. What rmw_cyclonedds puts around them is made here: names and QoS,
+USER_DATA with the hash of the type, and `ros_discovery_info`, by which others know our node.
+Writing holds Python's lock: writers keep a bounded history and never wait for a slow reader.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any, Final, Literal
+
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import DDSException, InstanceState
+from cyclonedds.domain import Domain
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+
+from vertebra.errors import NotConnectedError, TransportError
+from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.driver import OnPayload, OnRequest
+from vertebra.ros2.driver_dds_participant import Input, Participant, delete, write
+from vertebra.ros2.driver_dds_services import ServiceClient, ServiceServer
+from vertebra.ros2.driver_dds_types import Raw, configuration, ros_qos, user_data_of
+from vertebra.ros2.graph import Graph, endpoint_of
+from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name
+from vertebra.ros2.qos import LATCHED, Qos
+
+_GRAPH_DEPTH: Final = 16384
+"""So many news of the graph wait for the event loop at most."""
+_PARTICIPANT_BYTES: Final = 12
+"""The beginning of an endpoint's gid is that of its participant."""
+
+
+class DdsTransport:
+    """One participant; see `driver.Transport`. Open it with `dds_driver`."""
+
+    def __init__(self, *, domain_id: int, node: str, namespace: str, types: Types) -> None:
+        self.graph = Graph()
+        self._cdr = Cdr(types)
+        self._node = {"node_namespace": namespace, "node_name": node}
+        self._changed: list[Callable[[], None]] = []
+        self._announcing = True
+        self._dds = Participant(domain_id, types, self._announce_soon)
+        self._announcer = self._dds.make_writer(DISCOVERY_TOPIC, DISCOVERY_TYPE, LATCHED)
+        self._announce()
+        self._follow_graph()
+
+    @property
+    def failed(self) -> asyncio.Future[None]:
+        """Ends with the error that stopped DDS."""
+        return self._dds.failed
+
+    def on_graph(self, changed: Callable[[], None]) -> None:
+        """Call `changed` after each change of the graph."""
+        self._changed.append(changed)
+
+    def reader(self, name: str, type_name: str, qos: Qos, on_payload: OnPayload) -> TopicReader:
+        """Read a topic."""
+        return TopicReader(self._dds, name, type_name, qos, on_payload)
+
+    def writer(self, name: str, type_name: str, qos: Qos) -> TopicWriter:
+        """Write a topic."""
+        return TopicWriter(self._dds, name, type_name, qos)
+
+    def client(self, name: str, type_name: str) -> ServiceClient:
+        """Be a client of a service; `type_name` such as `std_srvs/srv/Trigger`."""
+        return ServiceClient(self._dds, self.graph, name, type_name)
+
+    def server(self, name: str, type_name: str, on_request: OnRequest) -> ServiceServer:
+        """Offer a service."""
+        return ServiceServer(self._dds, name, type_name, on_request)
+
+    async def close(self) -> None:
+        """Leave the domain."""
+        self._announcing = True  # there is nothing to tell any more
+        await self._dds.close()
+
+    def _follow_graph(self) -> None:
+        dds = self._dds
+        for topic, came in (
+            (BuiltinTopicDcpsPublication, lambda sample: self._endpoint_came(sample, "writer")),
+            (BuiltinTopicDcpsSubscription, lambda sample: self._endpoint_came(sample, "reader")),
+            (BuiltinTopicDcpsParticipant, self._participant_came),
+        ):
+            reader = BuiltinDataReader(dds.entity, topic)
+            dds.attach(Input(reader, _GRAPH_DEPTH, came, only_valid=False))
+        everybody = Qos(durability="transient_local", depth=1000)
+        reader = dds.make_reader(DISCOVERY_TOPIC, DISCOVERY_TYPE, everybody)
+        dds.attach(Input(reader, _GRAPH_DEPTH, self._nodes_came))
+
+    def _endpoint_came(self, sample: Any, kind: Literal["writer", "reader"]) -> None:
+        gid = sample.key.bytes
+        if gid[:_PARTICIPANT_BYTES] == self._dds.gid[:_PARTICIPANT_BYTES]:
+            return
+        if sample.sample_info.instance_state != InstanceState.Alive:
+            if self.graph.remove(gid):
+                self._tell_changed()
+            return
+        endpoint = endpoint_of(
+            gid=gid,
+            kind=kind,
+            topic=sample.topic_name,
+            type_name=sample.type_name,
+            qos=ros_qos(sample.qos),
+            user_data=user_data_of(sample.qos),
+        )
+        if endpoint is not None:
+            self.graph.add(endpoint)
+            self._tell_changed()
+
+    def _participant_came(self, sample: Any) -> None:
+        if sample.sample_info.instance_state != InstanceState.Alive:
+            self.graph.remove_participant(sample.key.bytes)
+            self._tell_changed()
+
+    def _nodes_came(self, sample: Raw) -> None:
+        record = self._cdr.decode(sample.payload, DISCOVERY_TYPE)
+        if bytes(record["gid"]["data"].data) != self._dds.gid:
+            self.graph.set_nodes(record)
+            self._tell_changed()
+
+    def _tell_changed(self) -> None:
+        for changed in self._changed:
+            changed()
+
+    def _announce_soon(self) -> None:
+        """Tell of our endpoints, once for all that changes now."""
+        if not self._announcing:
+            self._announcing = True
+            asyncio.get_running_loop().call_soon(self._announce)
+
+    def _announce(self) -> None:
+        self._announcing = False
+
+        def gids(kind: type[Any]) -> list[Any]:
+            return [{"data": one.guid.bytes} for one in self._dds.own if isinstance(one, kind)]
+
+        node = {
+            **self._node,
+            "reader_gid_seq": gids(DataReader),
+            "writer_gid_seq": gids(DataWriter),
+        }
+        record = {"gid": {"data": self._dds.gid}, "node_entities_info_seq": [node]}
+        write(self._announcer, self._cdr.encode(record, DISCOVERY_TYPE))
+
+
+class TopicReader:
+    """See `driver.Reader`."""
+
+    def __init__(
+        self, dds: Participant, name: str, type_name: str, qos: Qos, on_payload: OnPayload
+    ) -> None:
+        self._dds = dds
+        self._on_payload = on_payload
+        self._closed = False
+        self._reader = dds.make_reader(dds_name("topic", name), type_name, qos)
+        self._input = Input(self._reader, qos.depth, self._came)
+        dds.attach(self._input)
+        dds.add_own(self._reader)
+
+    @property
+    def dropped(self) -> int:
+        """Payloads that were let go because the event loop was late."""
+        return self._input.dropped
+
+    def _came(self, sample: Raw) -> None:
+        if not self._closed:
+            self._on_payload(sample.payload, sample.sample_info.source_timestamp)
+
+    def close(self) -> None:
+        """End it."""
+        if not self._closed:
+            self._closed = True
+            self._dds.end(self._reader)
+
+
+class TopicWriter:
+    """See `driver.Writer`."""
+
+    def __init__(self, dds: Participant, name: str, type_name: str, qos: Qos) -> None:
+        self._dds = dds
+        self._closed = False
+        self._name = name
+        self._writer = dds.make_writer(dds_name("topic", name), type_name, qos)
+        dds.add_own(self._writer)
+
+    def write(self, payload: bytes) -> None:
+        """Send a payload."""
+        if self._closed:
+            raise NotConnectedError(f"the writer of {self._name} is closed")
+        write(self._writer, payload)
+
+    def close(self) -> None:
+        """End it."""
+        if not self._closed:
+            self._closed = True
+            self._dds.end(self._writer)
+
+
+@asynccontextmanager
+async def dds_driver(
+    *,
+    domain_id: int,
+    node: str,
+    types: Types,
+    namespace: str = "/",
+    interface: str = "",
+    peers: tuple[str, ...] = (),
+) -> AsyncIterator[DdsTransport]:
+    """Be a participant while the block runs.
+
+    Args:
+        domain_id: What ROS_DOMAIN_ID is to ROS.
+        node: Name of our node.
+        types: What types are made of.
+        namespace: Of our node.
+        interface: Network interface; if this and `peers` are empty, CYCLONEDDS_URI says all.
+        peers: Addresses of hosts to look for without multicast.
+
+    Raises:
+        TransportError: DDS cannot start, for example because there is no such interface.
+    """
+    domain: Any = None
+    try:
+        if interface or peers:
+            domain = Domain(domain_id, configuration(interface, peers))
+        transport = DdsTransport(domain_id=domain_id, node=node, namespace=namespace, types=types)
+    except DDSException as error:
+        used = interface or os.environ.get("CYCLONEDDS_URI", "that the system gives")
+        raise TransportError(
+            f"DDS does not start in domain {domain_id} on the interface {used}: {error}; "
+            "a domain is 0 to 232, the interfaces are listed by 'ip addr'"
+        ) from error
+    try:
+        yield transport
+    finally:
+        await transport.close()
+        if domain is not None:
+            delete(domain)

@@ -1,0 +1,261 @@
+"""A DDS participant and the thread that waits for it, for the driver `dds`.
+
+The thread takes what came and hands it over to the event loop, where everything else happens. It
+alone touches readers and the wait set, so that nothing is deleted while it is in use.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from cyclonedds.core import (
+    DDSException,
+    DDSStatus,
+    Entity,
+    GuardCondition,
+    InstanceState,
+    Policy,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.core import Qos as DdsQos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from vertebra.errors import CodecError, CodecNotFoundError, TransportError
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.driver_dds_types import RawTypes, dds_qos
+from vertebra.ros2.qos import Qos
+
+log = logging.getLogger(__name__)
+
+_BATCH: Final = 64
+_TELL_EVERY_S: Final = 10.0
+_FOREVER: Final = duration(infinite=True)
+_NOT_READ: Final = SampleState.NotRead | ViewState.Any | InstanceState.Any
+
+
+class Input:
+    """A DDS reader, what came of it, and who takes it in the event loop.
+
+    Attributes:
+        dropped: Samples that were let go because the event loop was late.
+    """
+
+    def __init__(
+        self, reader: Any, depth: int, taken: Callable[[Any], None], *, only_valid: bool = True
+    ) -> None:
+        self.reader = reader
+        self.condition = ReadCondition(reader, _NOT_READ)
+        self.dropped = 0
+        self._depth = depth
+        self._told = 0
+        self._told_at_s = 0.0
+        self._waiting: deque[Any] = deque(maxlen=depth)
+        self._taken = taken
+        self._only_valid = only_valid
+
+    def take(self) -> bool:
+        """Take what came, in the thread; say whether it was anything."""
+        samples = self.reader.take(_BATCH, self.condition)
+        if self._only_valid:  # the others say that a writer went
+            samples = [one for one in samples if one.sample_info.valid_data]
+        self.dropped += max(len(self._waiting) + len(samples) - self._depth, 0)
+        self._waiting.extend(samples)
+        return bool(samples)
+
+    def hand_over(self) -> None:
+        """Give what came to who takes it, in the event loop."""
+        now_s = time.monotonic()
+        if self.dropped > self._told and now_s > self._told_at_s + _TELL_EVERY_S:
+            log.error("%d samples were lost: the event loop was late", self.dropped - self._told)
+            self._told, self._told_at_s = self.dropped, now_s
+        while self._waiting:
+            sample = self._waiting.popleft()
+            try:
+                self._taken(sample)
+            except CodecError as error:
+                log.warning("refused a sample: %s", error)
+
+
+class Participant:
+    """A participant, its endpoints, and the thread that waits for them.
+
+    Attributes:
+        gid: Its identity, 16 bytes.
+        own: Its endpoints that are part of the ROS graph.
+        failed: Ends with the error that stopped the thread.
+    """
+
+    def __init__(self, domain_id: int, types: Types, on_own: Callable[[], None]) -> None:
+        self.own: list[Any] = []
+        self._types = types
+        self._raw_types = RawTypes(types)
+        self._on_own = on_own
+        self._loop = asyncio.get_running_loop()
+        self.failed: asyncio.Future[None] = self._loop.create_future()
+        self._commands: deque[Callable[[], None]] = deque()
+        self._inputs: list[Input] = []
+        self._matched: dict[Any, asyncio.Event] = {}
+        self._topics: dict[str, Any] = {}
+        self._stopping = False
+        self.entity = DomainParticipant(domain_id, qos=DdsQos(Policy.Userdata(data=b"enclave=/;")))
+        self.gid = self.entity.guid.bytes
+        self._waitset = WaitSet(self.entity)
+        self._guard = GuardCondition(self.entity)
+        self._waitset.attach(self._guard)
+        self._thread = threading.Thread(target=self._run, name="ros2 dds", daemon=True)
+        self._thread.start()
+
+    def make_writer(self, topic: str, type_name: str, qos: Qos, said: str = "") -> Any:
+        """Make a writer of raw samples."""
+        settings = dds_qos(qos, said + self._hash(type_name))
+        return DataWriter(self.entity, self._topic(topic, type_name), qos=settings)
+
+    def make_reader(self, topic: str, type_name: str, qos: Qos, said: str = "") -> Any:
+        """Make a reader of raw samples."""
+        settings = dds_qos(qos, said + self._hash(type_name))
+        return DataReader(self.entity, self._topic(topic, type_name), qos=settings)
+
+    def _topic(self, topic: str, type_name: str) -> Any:
+        """Return the DDS topic. One name has one type in a participant, as long as it lives."""
+        known = self._topics.get(topic)
+        if known is None:
+            known = Topic(self.entity, topic, self._raw_types.raw(type_name))
+            self._topics[topic] = known
+        if known.data_type is not self._raw_types.raw(type_name):
+            raise TransportError(
+                f"the DDS topic {topic!r} has been used here with another type than {type_name}; "
+                "restart this service to use it with that one"
+            )
+        return known
+
+    def _hash(self, type_name: str) -> str:
+        whole = type_name
+        if type_name.split("/")[1] != "msg":
+            whole = type_name.removesuffix("_Request").removesuffix("_Response")
+        try:
+            return f"typehash={self._types.hash_of(whole)};"
+        except CodecNotFoundError:
+            return ""
+
+    def attach(self, one: Input) -> None:
+        """Take what comes of an input from now on."""
+
+        def attach() -> None:
+            self._inputs.append(one)
+            self._waitset.attach(one.condition)
+
+        self._in_thread(attach)
+
+    def follow_matches(self, entity: Any) -> asyncio.Event:
+        """Return what is set when a writer or reader finds, or loses, one on the other side."""
+        event = asyncio.Event()
+        entity.set_status_mask(_matched_status(entity))
+
+        def attach() -> None:
+            self._matched[entity] = event
+            self._waitset.attach(entity)
+
+        self._in_thread(attach)
+        return event
+
+    def add_own(self, *entities: Any) -> None:
+        """Let endpoints be seen as those of our node."""
+        self.own += entities
+        self._on_own()
+
+    def end(self, entity: Any) -> None:
+        """Delete a writer or reader, in the thread that uses it."""
+        if entity in self.own:
+            self.own.remove(entity)
+            self._on_own()
+
+        def end() -> None:
+            if self._matched.pop(entity, None) is not None:
+                self._waitset.detach(entity)
+            for one in [one for one in self._inputs if one.reader is entity]:
+                self._inputs.remove(one)
+                self._waitset.detach(one.condition)
+                delete(one.condition)
+            delete(entity)
+
+        self._in_thread(end)
+
+    def _in_thread(self, command: Callable[[], None]) -> None:
+        self._commands.append(command)
+        self._guard.set(True)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping:
+                self._waitset.wait(_FOREVER)
+                self._guard.take()
+                while self._commands:
+                    self._commands.popleft()()
+                self._look()
+        except DDSException as error:
+            failure = TransportError(f"DDS stopped: {error}; restart this service")
+            self._tell(lambda: self._fail(failure))
+
+    def _look(self) -> None:
+        for entity, event in self._matched.items():
+            if entity.take_status(_matched_status(entity)):
+                self._tell(event.set)
+        came = [one for one in self._inputs if one.take()]
+        for one in came:
+            self._tell(one.hand_over)
+
+    def _fail(self, failure: TransportError) -> None:
+        if not self.failed.done():
+            self.failed.set_exception(failure)
+
+    def _tell(self, what: Callable[[], None]) -> None:
+        try:
+            self._loop.call_soon_threadsafe(what)
+        except RuntimeError:  # the event loop has closed: nobody is left to be told
+            self._stopping = True
+
+    async def close(self) -> None:
+        """Leave the domain."""
+        self._stopping = True
+        self._guard.set(True)
+        await asyncio.to_thread(self._thread.join)
+        self.failed.cancel()
+        while self._commands:
+            self._commands.popleft()()
+        for one in self._inputs:
+            delete(one.condition)
+            delete(one.reader)
+        for entity in (*self.own, *self._topics.values(), self._waitset, self._guard):
+            delete(entity)
+        delete(self.entity)
+
+
+def _matched_status(entity: Any) -> int:
+    is_writer = isinstance(entity, DataWriter)
+    return DDSStatus.PublicationMatched if is_writer else DDSStatus.SubscriptionMatched
+
+
+def write(writer: Any, payload: bytes) -> None:
+    """Write a payload; raise `TransportError` if DDS refuses it."""
+    try:
+        writer.write(writer.data_type(payload))
+    except DDSException as error:
+        raise TransportError(f"DDS refused {len(payload)} bytes: {error}") from error
+
+
+def delete(entity: Entity) -> None:
+    """End a DDS entity now, and not when the last reference to it goes; it may be gone."""
+    entity.__del__()

@@ -1,0 +1,188 @@
+"""The ROS graph: which endpoints there are, of which nodes, and what they say of themselves.
+
+DDS tells of each endpoint its topic, type, QoS and USER_DATA, in which ROS puts the hash of the
+type and, at services, who belongs together. The names of nodes come by a topic of their own,
+`ros_discovery_info`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, Literal
+
+from msgspec import Struct
+
+from vertebra.messages import Array
+from vertebra.ros2.names import Role, ros_name, ros_type
+from vertebra.ros2.qos import Qos
+
+OTHER_MIDDLEWARE: Final = (
+    "its node runs another middleware than Cyclone DDS (Jazzy's default is Fast DDS), which keeps "
+    "the caller where the driver dds cannot see it: start that node with "
+    "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or choose the driver rclpy"
+)
+_PARTS: Final[dict[Role, str]] = {"topic": "", "request": "_Request", "reply": "_Response"}
+
+
+class Endpoint(Struct, frozen=True, kw_only=True):
+    """A writer or a reader of another participant.
+
+    Attributes:
+        gid: Its identity, 16 bytes.
+        kind: Which of both.
+        role: Whether it is of a topic, or of requests or replies of a service.
+        name: ROS name of the topic or service.
+        type: ROS type; of a service the whole one, such as `std_srvs/srv/Trigger`.
+        qos: What it offers or requests.
+        type_hash: What it says its type is; empty if it does not.
+        identity: What joins the endpoints of one client or server of rmw_cyclonedds; empty at
+            those of other middleware.
+    """
+
+    gid: bytes
+    kind: Literal["writer", "reader"]
+    role: Role
+    name: str
+    type: str
+    qos: Qos
+    type_hash: str = ""
+    identity: str = ""
+
+
+class Service(Struct, frozen=True, kw_only=True):
+    """A ROS service that somebody offers.
+
+    Attributes:
+        type: Its type; empty if its servers do not agree.
+        reachable: Whether a server is there that puts the client into the request, as
+            rmw_cyclonedds does. Fast DDS puts it where this driver cannot see it.
+    """
+
+    type: str
+    reachable: bool
+
+    @property
+    def problem(self) -> str:
+        """Why it cannot be called, and what mends it; empty if it can."""
+        if not self.type:
+            return "its servers do not agree on its type; stop one of them"
+        return "" if self.reachable else OTHER_MIDDLEWARE
+
+
+def entries_of(text: bytes) -> dict[str, str]:
+    """Return the entries of a USER_DATA, `key=value;` each; what is none is left out."""
+    entries = text.decode("utf-8", "replace").split(";")
+    pairs = (entry.partition("=") for entry in entries)
+    return {key: value for key, equals, value in pairs if equals}
+
+
+def endpoint_of(
+    *,
+    gid: bytes,
+    kind: Literal["writer", "reader"],
+    topic: str,
+    type_name: str,
+    qos: Qos,
+    user_data: bytes,
+) -> Endpoint | None:
+    """Return what DDS tells of an endpoint with this USER_DATA; None if it is none of ROS."""
+    known, whole = ros_name(topic), ros_type(type_name)
+    if known is None or whole is None or not whole.endswith(_PARTS[known.role]):
+        return None
+    entries = entries_of(user_data)
+    return Endpoint(
+        gid=gid,
+        kind=kind,
+        role=known.role,
+        name=known.name,
+        type=whole.removesuffix(_PARTS[known.role]),
+        qos=qos,
+        type_hash=entries.get("typehash", ""),
+        identity=entries.get("serviceid") or entries.get("clientid", ""),
+    )
+
+
+class Graph:
+    """Everything of other participants that is known now."""
+
+    def __init__(self) -> None:
+        self._endpoints: dict[bytes, Endpoint] = {}
+        self._nodes: dict[bytes, Mapping[str, frozenset[bytes]]] = {}
+
+    def add(self, endpoint: Endpoint) -> None:
+        """Note an endpoint, or what has changed of it."""
+        self._endpoints[endpoint.gid] = endpoint
+
+    def remove(self, gid: bytes) -> bool:
+        """Forget an endpoint; say whether it was known."""
+        return self._endpoints.pop(gid, None) is not None
+
+    def set_nodes(self, record: Mapping[str, Any]) -> None:
+        """Note the nodes of a participant, from its `ParticipantEntitiesInfo`."""
+        self._nodes[_gid(record["gid"])] = {
+            f"{node['node_namespace'].rstrip('/')}/{node['node_name']}": frozenset(
+                map(_gid, [*node["reader_gid_seq"], *node["writer_gid_seq"]])
+            )
+            for node in record["node_entities_info_seq"]
+        }
+
+    def remove_participant(self, gid: bytes) -> None:
+        """Forget the nodes of a participant."""
+        self._nodes.pop(gid, None)
+
+    def nodes(self) -> list[str]:
+        """Return the full names of all nodes, sorted."""
+        return sorted(name for nodes in self._nodes.values() for name in nodes)
+
+    def node_of(self, endpoint: Endpoint) -> str:
+        """Return the full name of an endpoint's node; empty if nobody told."""
+        for nodes in self._nodes.values():
+            for name, gids in nodes.items():
+                if endpoint.gid in gids:
+                    return name
+        return ""
+
+    def writers(self, name: str, role: Role = "topic") -> list[Endpoint]:
+        """Return who writes a topic, or requests or replies of a service."""
+        return self._find("writer", role, name)
+
+    def readers(self, name: str, role: Role = "topic") -> list[Endpoint]:
+        """Return who reads a topic, or requests or replies of a service."""
+        return self._find("reader", role, name)
+
+    def topics(self) -> dict[str, frozenset[str]]:
+        """Return the types of each topic; one that has more than one is nobody's to read."""
+        return _types(one for one in self._endpoints.values() if one.role == "topic")
+
+    def services(self) -> dict[str, Service]:
+        """Return all services that are offered."""
+        servers = [
+            one
+            for one in self._endpoints.values()
+            if one.role == "request" and one.kind == "reader"
+        ]
+        return {
+            name: Service(
+                type=next(iter(types)) if len(types) == 1 else "",
+                reachable=any(one.identity for one in servers if one.name == name),
+            )
+            for name, types in _types(servers).items()
+        }
+
+    def _find(self, kind: str, role: Role, name: str) -> list[Endpoint]:
+        return [
+            one
+            for one in self._endpoints.values()
+            if (one.kind, one.role, one.name) == (kind, role, name)
+        ]
+
+
+def _types(endpoints: Iterable[Endpoint]) -> dict[str, frozenset[str]]:
+    found: dict[str, set[str]] = {}
+    for one in endpoints:
+        found.setdefault(one.name, set()).add(one.type)
+    return {name: frozenset(types) for name, types in sorted(found.items())}
+
+
+def _gid(record: Mapping[str, Array]) -> bytes:
+    return bytes(record["data"].data)
