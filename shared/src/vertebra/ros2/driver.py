@@ -27,17 +27,26 @@ class Closeable(Protocol):
 
 
 class Reader(Closeable, Protocol):
-    """What we read of a topic.
+    """What we read of a topic."""
 
-    Attributes:
-        dropped: Payloads that were let go because the event loop was late.
-    """
+    @property
+    def dropped(self) -> int:
+        """Payloads that were let go because the event loop was late."""
+        ...
 
-    dropped: int
+    @property
+    def mismatch(self) -> str:
+        """The QoS for which a writer is not heard; empty if there is none."""
+        ...
 
 
 class Writer(Closeable, Protocol):
     """What we write of a topic."""
+
+    @property
+    def mismatch(self) -> str:
+        """The QoS for which a reader does not hear us; empty if there is none."""
+        ...
 
     def write(self, payload: bytes) -> None:
         """Send a payload; raise `TransportError` if the driver refuses it."""
@@ -63,6 +72,11 @@ class Transport(Protocol):
     @property
     def graph(self) -> Graph:
         """What others have; it changes as they come and go."""
+        ...
+
+    @property
+    def failed(self) -> Awaitable[None]:
+        """Ends with the error that stopped the driver."""
         ...
 
     def on_graph(self, changed: Callable[[], None]) -> None:

@@ -30,7 +30,7 @@ from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import OnPayload, OnRequest
 from vertebra.ros2.driver_dds_participant import Input, Participant, delete, write
 from vertebra.ros2.driver_dds_services import ServiceClient, ServiceServer
-from vertebra.ros2.driver_dds_types import Raw, configuration, ros_qos, user_data_of
+from vertebra.ros2.driver_dds_types import Raw, configuration, mismatch_of, ros_qos, user_data_of
 from vertebra.ros2.graph import Graph, endpoint_of
 from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name
 from vertebra.ros2.qos import LATCHED, Qos
@@ -173,6 +173,11 @@ class TopicReader:
         """Payloads that were let go because the event loop was late."""
         return self._input.dropped
 
+    @property
+    def mismatch(self) -> str:
+        """The QoS for which a writer is not heard."""
+        return mismatch_of(self._reader.get_requested_incompatible_qos_status())
+
     def _came(self, sample: Raw) -> None:
         if not self._closed:
             self._on_payload(sample.payload, sample.sample_info.source_timestamp)
@@ -193,6 +198,11 @@ class TopicWriter:
         self._name = name
         self._writer = dds.make_writer(dds_name("topic", name), type_name, qos)
         dds.add_own(self._writer)
+
+    @property
+    def mismatch(self) -> str:
+        """The QoS for which a reader does not hear us."""
+        return mismatch_of(self._writer.get_offered_incompatible_qos_status())
 
     def write(self, payload: bytes) -> None:
         """Send a payload."""

@@ -30,6 +30,9 @@ MATCH_WITHIN_S: Final = 2.0
 HOLD_REPLY_S: Final = 0.1
 """So long a server holds a reply for a client whose reader is not matched yet, as rmw does."""
 MAX_REQUESTS: Final = 64
+"""So many requests may wait for our answer."""
+MAX_CALLS: Final = 8
+"""So many calls of a client are under way at once: a ROS node keeps 10 requests, no more."""
 _CALLER: Final = struct.Struct("<Qq")
 
 
@@ -51,8 +54,8 @@ class _Pair:
         request = (dds_name("request", name), f"{type_name}_Request")
         reply = (dds_name("reply", name), f"{type_name}_Response")
         written, read = (reply, request) if serves else (request, reply)
-        self.writer = dds.make_writer(*written, Qos(), said)
-        self.reader = dds.make_reader(*read, Qos(), said)
+        self.writer = dds.make_writer(*written, Qos(depth=MAX_REQUESTS), said)
+        self.reader = dds.make_reader(*read, Qos(depth=MAX_REQUESTS), said)
         self.writer_matched = dds.follow_matches(self.writer)
         self.reader_matched = dds.follow_matches(self.reader)
         self.closed = False
@@ -97,22 +100,27 @@ class ServiceClient:
         self._caller = random.getrandbits(64)
         self._calls = 0
         self._waiting: dict[int, asyncio.Future[bytes]] = {}
+        self._turn = asyncio.Semaphore(MAX_CALLS)
         self._pair = _Pair(dds, name, type_name, serves=False, came=self._came)
 
     async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
         """Send a request and return the reply."""
-        deadline_s = time.monotonic() + timeout_s
+        began_s = time.monotonic()
         await self._find_server(min(MATCH_WITHIN_S, timeout_s))
+        try:
+            async with asyncio.timeout(began_s + timeout_s - time.monotonic()), self._turn:
+                return await self._ask(payload)
+        except TimeoutError as error:
+            raise DeadlineError(f"the ROS service {self._name}", timeout_s) from error
+
+    async def _ask(self, payload: bytes) -> bytes:
         self._calls += 1
         number = self._calls
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
             write(self._pair.writer, _with_caller(payload, self._caller, number))
-            async with asyncio.timeout(deadline_s - time.monotonic()):
-                return await answer
-        except TimeoutError as error:
-            raise DeadlineError(f"the ROS service {self._name}", timeout_s) from error
+            return await answer
         finally:
             del self._waiting[number]
 
@@ -131,7 +139,7 @@ class ServiceClient:
         self._refuse_others()
 
     def _refuse_others(self) -> None:
-        service = self._graph.services().get(self._name)
+        service = self._graph.service(self._name)
         if service is not None and not service.reachable:
             raise NotConnectedError(f"the ROS service {self._name}: {service.problem}")
 

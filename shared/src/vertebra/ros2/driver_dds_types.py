@@ -28,6 +28,13 @@ _SEQUENCE: Final[Any] = idl.sequence
 _CALLER: Final = (Field("guid", "uint64"), Field("seq", "int64"))
 
 
+_POLICIES: Final = {
+    2: "durability", 4: "deadline", 5: "latency budget", 6: "ownership", 8: "liveliness",
+    10: "partition", 11: "reliability", 12: "destination order", 23: "data representation",
+}  # fmt: skip
+"""Numbers of the DDS specification."""
+
+
 class Raw:
     """A sample that is its payload; subclasses carry what DDS announces of their type."""
 
@@ -139,6 +146,14 @@ def ros_qos(qos: Any) -> Qos:
     )
 
 
+def mismatch_of(status: Any) -> str:
+    """Return the name of the policy that keeps an endpoint apart from another one, if any."""
+    if not status.total_count:
+        return ""
+    number = int(status.last_policy_id)
+    return _POLICIES.get(number, f"policy {number}")
+
+
 def user_data_of(qos: Any) -> bytes:
     """Return the USER_DATA in a QoS."""
     found = [bytes(policy.data) for policy in qos if isinstance(policy, Policy.Userdata)]
@@ -146,7 +161,12 @@ def user_data_of(qos: Any) -> bytes:
 
 
 def configuration(interface: str, peers: tuple[str, ...]) -> str:
-    """Return Cyclone DDS's configuration; with peers, nothing is sent by multicast."""
+    """Return Cyclone DDS's configuration; with peers, nothing is sent by multicast.
+
+    The loopback interface has no multicast: there the host is its own peer.
+    """
+    if interface == "lo" and not peers:
+        peers = ("127.0.0.1",)
     general = f"<NetworkInterface name={quoteattr(interface)}/>" if interface else ""
     general = f"<Interfaces>{general}</Interfaces>" if general else ""
     discovery = ""

@@ -7,7 +7,7 @@ type and, at services, who belongs together. The names of nodes come by a topic 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 from msgspec import Struct
@@ -18,9 +18,10 @@ from vertebra.ros2.qos import Qos
 
 OTHER_MIDDLEWARE: Final = (
     "its node runs another middleware than Cyclone DDS (Jazzy's default is Fast DDS), which keeps "
-    "the caller where the driver dds cannot see it: start that node with "
-    "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or choose the driver rclpy"
+    "the caller where this driver cannot see it: start that node with "
+    "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
 )
+_Place = tuple[Literal["writer", "reader"], Role, str]
 _PARTS: Final[dict[Role, str]] = {"topic": "", "request": "_Request", "reply": "_Response"}
 
 
@@ -107,15 +108,25 @@ class Graph:
 
     def __init__(self) -> None:
         self._endpoints: dict[bytes, Endpoint] = {}
+        self._by_place: dict[_Place, dict[bytes, Endpoint]] = {}
         self._nodes: dict[bytes, Mapping[str, frozenset[bytes]]] = {}
 
     def add(self, endpoint: Endpoint) -> None:
         """Note an endpoint, or what has changed of it."""
+        self.remove(endpoint.gid)
         self._endpoints[endpoint.gid] = endpoint
+        self._by_place.setdefault(_place(endpoint), {})[endpoint.gid] = endpoint
 
     def remove(self, gid: bytes) -> bool:
         """Forget an endpoint; say whether it was known."""
-        return self._endpoints.pop(gid, None) is not None
+        known = self._endpoints.pop(gid, None)
+        if known is None:
+            return False
+        at_place = self._by_place[_place(known)]
+        del at_place[gid]
+        if not at_place:
+            del self._by_place[_place(known)]
+        return True
 
     def set_nodes(self, record: Mapping[str, Any]) -> None:
         """Note the nodes of a participant, from its `ParticipantEntitiesInfo`."""
@@ -152,36 +163,37 @@ class Graph:
 
     def topics(self) -> dict[str, frozenset[str]]:
         """Return the types of each topic; one that has more than one is nobody's to read."""
-        return _types(one for one in self._endpoints.values() if one.role == "topic")
+        found: dict[str, set[str]] = {}
+        for (_, role, name), endpoints in self._by_place.items():
+            if role == "topic":
+                found.setdefault(name, set()).update(one.type for one in endpoints.values())
+        return {name: frozenset(types) for name, types in sorted(found.items())}
 
     def services(self) -> dict[str, Service]:
         """Return all services that are offered."""
-        servers = [
-            one
-            for one in self._endpoints.values()
-            if one.role == "request" and one.kind == "reader"
-        ]
-        return {
-            name: Service(
-                type=next(iter(types)) if len(types) == 1 else "",
-                reachable=any(one.identity for one in servers if one.name == name),
-            )
-            for name, types in _types(servers).items()
-        }
+        offered = sorted(
+            name for kind, role, name in self._by_place if (kind, role) == ("reader", "request")
+        )
+        found = ((name, self.service(name)) for name in offered)
+        return {name: service for name, service in found if service is not None}
 
-    def _find(self, kind: str, role: Role, name: str) -> list[Endpoint]:
-        return [
-            one
-            for one in self._endpoints.values()
-            if (one.kind, one.role, one.name) == (kind, role, name)
-        ]
+    def service(self, name: str) -> Service | None:
+        """Return a service; None if nobody offers it."""
+        servers = self.readers(name, "request")
+        types = {one.type for one in servers}
+        if not servers:
+            return None
+        return Service(
+            type=types.pop() if len(types) == 1 else "",
+            reachable=any(one.identity for one in servers),
+        )
+
+    def _find(self, kind: Literal["writer", "reader"], role: Role, name: str) -> list[Endpoint]:
+        return list(self._by_place.get((kind, role, name), {}).values())
 
 
-def _types(endpoints: Iterable[Endpoint]) -> dict[str, frozenset[str]]:
-    found: dict[str, set[str]] = {}
-    for one in endpoints:
-        found.setdefault(one.name, set()).add(one.type)
-    return {name: frozenset(types) for name, types in sorted(found.items())}
+def _place(endpoint: Endpoint) -> _Place:
+    return (endpoint.kind, endpoint.role, endpoint.name)
 
 
 def _gid(record: Mapping[str, Array]) -> bytes:

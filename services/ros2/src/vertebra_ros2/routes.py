@@ -1,0 +1,90 @@
+"""Routes: which ROS name is which key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Literal
+
+from vertebra.errors import ConfigError
+from vertebra.keys import check_key
+from vertebra.ros2.names import check_name, check_type
+from vertebra.service.routes import Route, parse_routes, read_routes
+
+Direction = Literal["inbound", "outbound"]
+
+
+class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Messages one way between a ROS topic and a key.
+
+    Attributes:
+        ros: The topic.
+        key: Where the messages are on the backbone.
+        type: Its ROS type; inbound, empty takes what its publishers say.
+        direction: `inbound` is from ROS to the backbone.
+        delivery: What an outbound route keeps for a slow ROS subscriber.
+        depth: How many messages of it; inbound, how many may wait in DDS.
+        retain: Outbound, late joiners get the last `depth` messages (transient_local).
+        max_rate_hz: Thins the stream out; 0 carries everything.
+    """
+
+    ros: str
+    type: str = ""
+    direction: Direction = "inbound"
+    delivery: Literal["latest", "queue"] = "latest"
+    depth: int = 10
+    retain: bool = False
+    max_rate_hz: float = 0.0
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        _check(self.ros, self.type, "msg", needs_type=self.direction == "outbound")
+        if self.depth < 1:
+            raise ConfigError(f"a depth is at least 1, not {self.depth}")
+        ends = (f"the ROS topic {self.ros}", f"the key {check_key(self.key)}")
+        return tuple(f"{end} ({self.direction})" for end in ends)
+
+
+class Service(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Calls one way: a ROS service that is called by its key, or a key called through ROS.
+
+    Attributes:
+        ros: The ROS service of a node (inbound), or one that we offer (outbound).
+        key: Served by us (inbound), or called by us (outbound).
+        type: Its ROS type; inbound, empty takes what its servers say.
+        direction: `inbound` offers what ROS has on the backbone.
+        timeout_s: Deadline of an outbound call; inbound ones bring their own.
+    """
+
+    ros: str
+    type: str = ""
+    direction: Direction = "inbound"
+    timeout_s: float = 5.0
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        _check(self.ros, self.type, "srv", needs_type=self.direction == "outbound")
+        ends = (f"the ROS service {self.ros}", f"the key {check_key(self.key)}")
+        return tuple(f"{end} ({self.direction})" for end in ends)
+
+
+def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
+    check_name(name)
+    if type_name and check_type(type_name).split("/")[1] == "msg" and kind != "msg":
+        raise ConfigError(f"{type_name} is a message, a service is called as in a/srv/B")
+    if needs_type and not type_name:
+        raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
+
+
+KINDS: Final[dict[str, type[Route]]] = {"topics": Topic, "services": Service}
+
+
+def parse(text: str, where: str) -> tuple[Route, ...]:
+    """Return the routes in YAML text; raise `ConfigError`."""
+    return parse_routes(text, where, KINDS)
+
+
+def read(path: Path | None) -> tuple[Route, ...]:
+    """Return the routes in a YAML file, none if `path` is None; raise `ConfigError`."""
+    return read_routes(path, KINDS)

@@ -1,0 +1,33 @@
+"""Settings of the ROS 2 adapter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import SettingsConfigDict
+
+from vertebra.service import ServiceSettings
+
+
+class Ros2Settings(ServiceSettings):
+    """ROS 2 topics and services on the backbone."""
+
+    model_config = SettingsConfigDict(env_prefix="VERTEBRA_ROS2_")
+
+    domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
+    node: str = Field("vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_]\w*$")
+    namespace: str = Field("/", description="Namespace of our ROS node.", pattern="^/")
+    interface: str = Field(
+        "lo", description="Network interface of DDS; 'auto' leaves it to DDS and CYCLONEDDS_URI."
+    )
+    peers: tuple[str, ...] = Field(
+        (), description="Hosts to look for where there is no multicast, as a JSON list."
+    )
+    types: tuple[Path, ...] = Field(
+        (), description="Folders of ROS packages with .msg, .srv, .action, .idl, as a JSON list."
+    )
+    routes: Path | None = Field(None, description="YAML file with the explicit routes.")
+    automatic: bool = Field(
+        default=True, description="Show every topic and service without a route below `ros2/`."
+    )

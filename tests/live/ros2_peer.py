@@ -1,0 +1,387 @@
+"""The other participant: ROS nodes as rmw_cyclonedds puts them on the wire, in plain `cyclonedds`.
+
+It has no `from __future__ import annotations`: the library reads the annotations of its types.
+It shares no code with the adapter: types are written by hand, samples are made by the library.
+`python ros2_peer.py ROLE [ARGUMENT]` prints JSON lines, first "ready", and ends with its input.
+"""
+
+import json
+import os
+import struct
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import byte, float64, int32, int64, uint32, uint64
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+if TYPE_CHECKING:
+    sequence = Sequence
+    Gids = Sequence[int]
+else:
+    from cyclonedds.idl.types import array, sequence
+
+    Gids = array[byte, 16]
+
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
+NODES_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
+    data: str
+
+
+@dataclass
+class Strange(IdlStruct, typename="lab_msgs.msg.dds_.Strange_"):
+    left: int32
+    right: int32
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+@dataclass
+class Image(IdlStruct, typename="sensor_msgs.msg.dds_.Image_"):
+    header: Header
+    height: uint32
+    width: uint32
+    encoding: str
+    is_bigendian: byte
+    step: uint32
+    data: sequence[byte]
+
+
+@dataclass
+class AddRequest(IdlStruct, typename="example_interfaces.srv.dds_.AddTwoInts_Request_"):
+    guid: uint64
+    seq: int64
+    a: int64
+    b: int64
+
+
+@dataclass
+class AddReply(IdlStruct, typename="example_interfaces.srv.dds_.AddTwoInts_Response_"):
+    guid: uint64
+    seq: int64
+    sum: int64
+
+
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
+    data: Gids
+
+
+@dataclass
+class Node(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class Nodes(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
+    gid: Gid
+    node_entities_info_seq: sequence[Node]
+
+
+class Raw:
+    """A sample as its bytes."""
+
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+
+    def serialize(self, **_: Any) -> bytes:
+        return self.payload
+
+
+class RawImage(Raw):
+    """The library would go over the pixels one by one."""
+
+    __idl__ = Image.__idl__
+    __idl_typename__ = Image.__idl_typename__
+
+
+@dataclass
+class Name(IdlStruct, typename="lab_msgs.msg.dds_.Strange_"):
+    """Nothing but a name, which is what ROS nodes announce of a type."""
+
+    unknown: byte
+
+
+class RawStrange(Raw):
+    """What a ROS node sends of a type that is its own."""
+
+    __idl__ = Name.__idl__
+    __idl_typename__ = Name.__idl_typename__
+
+
+def qos(said: str = "", *, reliable: bool = True, latched: bool = False, depth: int = 10) -> Qos:
+    policies = [
+        Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1))
+        if reliable
+        else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+        Policy.History.KeepLast(depth),
+        Policy.WriterDataLifecycle(autodispose=False),
+    ]
+    if latched:
+        history = Policy.History.KeepLast(depth)
+        policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
+    if said:
+        policies.append(Policy.Userdata(data=said.encode()))
+    return Qos(*policies)
+
+
+def say(*what: Any) -> None:
+    sys.stdout.write(f"{json.dumps(what)}\n")
+    sys.stdout.flush()
+
+
+class Peer:
+    def __init__(self, name: str) -> None:
+        domain = int(os.environ["ROS_DOMAIN_ID"])
+        self.participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(data=b"enclave=/;")))
+        self.name = name
+        self.done = threading.Event()
+        self.readers: list[Any] = []
+        self.writers: list[Any] = []
+        threading.Thread(target=self._follow_input, daemon=True).start()
+
+    def _follow_input(self) -> None:
+        sys.stdin.read()
+        self.done.set()
+
+    def write(self, topic: str, kind: Any, settings: Qos) -> Any:
+        self.writers.append(
+            DataWriter(self.participant, Topic(self.participant, topic, kind), qos=settings)
+        )
+        return self.writers[-1]
+
+    def read(self, topic: str, kind: Any, settings: Qos) -> Any:
+        self.readers.append(
+            DataReader(self.participant, Topic(self.participant, topic, kind), qos=settings)
+        )
+        return self.readers[-1]
+
+    def announce(self) -> Any:
+        """Be a ROS node, with these endpoints."""
+        writer = DataWriter(
+            self.participant,
+            Topic(self.participant, "ros_discovery_info", Nodes),
+            qos=qos(f"typehash={NODES_HASH};", latched=True, depth=1),
+        )
+
+        def gids(entities: list[Any]) -> list[Gid]:
+            return [Gid(list(entity.guid.bytes)) for entity in entities]
+
+        node = Node("/lab", self.name, gids(self.readers), gids(self.writers))
+        writer.write(Nodes(Gid(list(self.participant.guid.bytes)), [node]))
+        return writer
+
+    def take(self, reader: Any) -> list[Any]:
+        return [one for one in reader.take(100) if one.sample_info.valid_data]
+
+
+def talk(peer: Peer, settings: Qos) -> None:
+    writer = peer.write("rt/chatter", String, settings)
+    node = peer.announce()
+    say("ready", str(node.guid))
+    number = 0
+    while not peer.done.wait(0.02):
+        writer.write(String(f"hello {number}"))
+        number += 1
+
+
+def latch(peer: Peer) -> None:
+    writer = peer.write(
+        "rt/chatter", String, qos(f"typehash={STRING_HASH};", latched=True, depth=1)
+    )
+    writer.write(String("from long ago"))
+    say("ready")
+    peer.done.wait()
+
+
+def strange(peer: Peer, sample: Any) -> None:
+    writer = peer.write("rt/strange", type(sample), qos())
+    say("ready")
+    while not peer.done.wait(0.02):
+        writer.write(sample)
+
+
+def listen(peer: Peer, settings: Qos) -> None:
+    reader = peer.read("rt/chatter", String, settings)
+    node = peer.announce()
+    say("ready", str(node.guid))
+    while not peer.done.wait(0.005):
+        for sample in peer.take(reader):
+            say("heard", sample.data)
+
+
+def joints(peer: Peer, count: int, rate_hz: float) -> None:
+    writer = peer.write("rt/joint_states", JointState, qos(depth=200))
+    say("ready")
+    while not writer.get_matched_subscriptions():
+        time.sleep(0.01)
+    began_s = time.monotonic()
+    for number in range(count):
+        now_ns = time.time_ns()
+        stamp = Time(now_ns // 10**9, now_ns % 10**9)
+        values = [float(number)] * 6
+        names = [f"joint{index}" for index in range(6)]
+        writer.write(JointState(Header(stamp, "base"), names, values, values, []))
+        if peer.done.wait(max(0.0, began_s + (number + 1) / rate_hz - time.monotonic())):
+            return
+    say("sent", count)
+    peer.done.wait()
+
+
+def images(peer: Peer, count: int, rate_hz: float) -> None:
+    writer = peer.write("rt/image", RawImage, qos())
+    pixels = os.urandom(640 * 480 * 3)
+    empty = Image(Header(Time(0, 0), "cam"), 480, 640, "rgb8", 0, 1920, []).serialize()
+    tail = empty[12:-4] + struct.pack("<I", len(pixels)) + pixels
+    say("ready")
+    while not writer.get_matched_subscriptions():
+        time.sleep(0.01)
+    began_s = time.monotonic()
+    for number in range(count):
+        now_ns = time.time_ns()
+        stamp = struct.pack("<iI", now_ns // 10**9, now_ns % 10**9)
+        writer.write(RawImage(b"\x00\x01\x00\x00" + stamp + tail))
+        if peer.done.wait(max(0.0, began_s + (number + 1) / rate_hz - time.monotonic())):
+            return
+    say("sent", count)
+    peer.done.wait()
+
+
+def serve_sum(peer: Peer, *, as_fast_dds: bool) -> None:
+    identity = "" if as_fast_dds else "serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.0.1;"
+    settings = qos(f"{identity}typehash={ADD_HASH};")
+    reader = peer.read("rq/add_two_intsRequest", AddRequest, settings)
+    writer = peer.write("rr/add_two_intsReply", AddReply, settings)
+    node = peer.announce()
+    say("ready", str(node.guid))
+    while not peer.done.wait(0.001):
+        for request in peer.take(reader):
+            if request.a >= 0:  # what is negative gets no answer
+                writer.write(AddReply(request.guid, request.seq, request.a + request.b))
+
+
+def ask_sum(peer: Peer, count: int) -> None:
+    settings = qos(f"clientid=f.2.3.4.5.6.7.8.9.a.b.c.0.0.0.1;typehash={ADD_HASH};")
+    writer = peer.write("rq/fleet_sumRequest", AddRequest, settings)
+    reader = peer.read("rr/fleet_sumReply", AddReply, settings)
+    while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+        time.sleep(0.01)
+    say("ready")
+    for number in range(1, count + 1):
+        writer.write(AddRequest(0xABCDEF, number, number, 2))
+        until_s = time.monotonic() + 5
+        while time.monotonic() < until_s:
+            replies = peer.take(reader)
+            if replies:
+                say("sum", replies[0].guid == 0xABCDEF, replies[0].seq, replies[0].sum)
+                break
+            time.sleep(0.001)
+    peer.done.wait()
+
+
+def watch(peer: Peer) -> None:
+    """Say what others see of the graph, as `ros2 node info` and `ros2 topic info -v` would."""
+    reader = peer.read("ros_discovery_info", Nodes, qos(latched=True, depth=100))
+    endpoints = {
+        "writer": BuiltinDataReader(peer.participant, BuiltinTopicDcpsPublication),
+        "reader": BuiltinDataReader(peer.participant, BuiltinTopicDcpsSubscription),
+    }
+    own = peer.participant.guid.bytes[:12]
+    say("ready")
+    while not peer.done.wait(0.02):
+        for sample in peer.take(reader):
+            for node in sample.node_entities_info_seq:
+                gids = [
+                    bytes(gid.data).hex() for gid in [*node.reader_gid_seq, *node.writer_gid_seq]
+                ]
+                say("node", node.node_namespace, node.node_name, gids)
+        for kind, builtin in endpoints.items():
+            for sample in builtin.take(100):
+                if getattr(sample, "qos", None) is None or sample.key.bytes[:12] == own:
+                    continue
+                said = [bytes(one.data) for one in sample.qos if isinstance(one, Policy.Userdata)]
+                text = said[0].decode() if said else ""
+                gid = sample.key.bytes.hex()
+                say("endpoint", kind, sample.topic_name, sample.type_name, gid, text)
+
+
+def main() -> None:
+    role, *arguments = sys.argv[1:]
+    peer = Peer(role)
+    said = f"typehash={STRING_HASH};"
+    if role == "talk":
+        talk(peer, qos(said))
+    elif role == "talk_best_effort":
+        talk(peer, qos(said, reliable=False))
+    elif role == "talk_other_hash":
+        talk(peer, qos(f"typehash=RIHS01_{'0' * 64};"))
+    elif role == "latch":
+        latch(peer)
+    elif role == "strange":
+        strange(peer, RawStrange(bytes.fromhex("00010000 01000000 02000000")))
+    elif role == "strange_typed":
+        strange(peer, Strange(1, 2))
+    elif role == "listen":
+        listen(peer, qos(said))
+    elif role == "listen_latched":
+        listen(peer, qos(said, latched=True, depth=1))
+    elif role == "joints":
+        joints(peer, int(arguments[0]), float(arguments[1]))
+    elif role == "images":
+        images(peer, int(arguments[0]), float(arguments[1]))
+    elif role == "serve_sum":
+        serve_sum(peer, as_fast_dds=False)
+    elif role == "serve_sum_fast_dds":
+        serve_sum(peer, as_fast_dds=True)
+    elif role == "ask_sum":
+        ask_sum(peer, int(arguments[0]))
+    elif role == "watch":
+        watch(peer)
+    else:
+        sys.exit(f"no role {role!r}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,577 @@
+"""The ROS 2 adapter between other DDS participants on loopback and the backbone in memory."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vertebra.bus import Delivery, MemoryBus, MemoryNetwork, Reply, Request
+from vertebra.codec import CodecRegistry
+from vertebra.errors import ConfigError, RemoteError
+from vertebra.messages import Image, JointState, Message, Native, Status, Text
+from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.definitions import Types
+from vertebra.service import MessagePublisher, MessageReader, Received, run_service
+from vertebra.testing.bus_suite import eventually
+from vertebra_ros2.adapter import serve
+from vertebra_ros2.settings import Ros2Settings
+
+pytestmark = pytest.mark.live
+
+PEER = Path(__file__).with_name("ros2_peer.py")
+DOMAINS = itertools.cycle(random.sample(range(10, 90), 80))
+ON_LOOPBACK = (
+    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    "<AllowMulticast>false</AllowMulticast></General><Discovery>"
+    "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers>"
+    "</Discovery></Domain></CycloneDDS>"
+)
+ROUTES = """
+topics:
+  - {ros: /joint_states, key: robot/joints, depth: 200}
+  - {ros: /chatter, key: robot/said}
+services:
+  - {ros: /add_two_ints, key: robot/sum}
+"""
+
+
+@dataclass
+class Peer:
+    process: asyncio.subprocess.Process
+    lines: asyncio.Queue[list[Any]]
+    kept: list[list[Any]] = field(default_factory=list)
+
+    async def until(self, *first: Any) -> list[Any]:
+        """Return the next line that begins so; others are kept for later."""
+        async with asyncio.timeout(10):
+            while True:
+                for line in self.kept:
+                    if line[: len(first)] == list(first):
+                        self.kept.remove(line)
+                        return line
+                self.kept.append(await self.lines.get())
+                assert self.kept[-1] != ["ended"]
+
+
+@dataclass
+class Lab:
+    """A running adapter and the backbone it is on."""
+
+    bus: MemoryBus
+    codecs: CodecRegistry
+    domain_id: int
+    service: asyncio.Task[None]
+    routes: Path
+    statuses: list[Status] = field(default_factory=list)
+
+    def publisher(self, key: str) -> MessagePublisher:
+        return MessagePublisher(self.bus, self.codecs, key)
+
+    def read(self, key: str, wanted: type[Message] = Message) -> MessageReader[Message]:
+        return MessageReader(self.bus.subscribe(key, Delivery.queue(5000)), self.codecs, wanted)
+
+    async def call(self, key: str, document: object, timeout_s: float = 5) -> Any:
+        payload = json.dumps(document).encode()
+        reply = await self.bus.call(key, payload, encoding="application/json", timeout_s=timeout_s)
+        return json.loads(reply.payload)
+
+    async def carried(self) -> dict[str, str]:
+        reply = await self.bus.call("@vertebra/services/ros2/1/info", timeout_s=5)
+        return dict(json.loads(reply.payload)["routes"])
+
+    async def told(self, fits: Callable[[str], bool]) -> str:
+        """Return the first status text that fits."""
+        reader = self.read("@vertebra/services/ros2/1/status", Status)
+        async with asyncio.timeout(10):
+            async for received in reader:
+                assert isinstance(received.message, Status)
+                if fits(received.message.text):
+                    reader.subscription.close()
+                    return received.message.text
+        raise AssertionError
+
+
+@asynccontextmanager
+async def adapter(
+    network: MemoryNetwork, domain_id: int, routes: Path, **settings: Any
+) -> AsyncIterator[Lab]:
+    bus = MemoryBus(network)
+    chosen = Ros2Settings(domain_id=domain_id, routes=routes, **settings)
+    service = asyncio.create_task(run_service("ros2", chosen, serve, bus=MemoryBus(network)))
+    lab = Lab(bus, CodecRegistry(), domain_id, service, routes)
+    await lab.told(lambda text: "not ready" not in text)
+    try:
+        yield lab
+    finally:
+        service.cancel()
+        await asyncio.wait([service], timeout=5)
+        await bus.close()
+        assert service.done()
+
+
+@pytest.fixture
+async def lab(tmp_path: Path) -> AsyncIterator[Lab]:
+    routes = tmp_path / "routes.yaml"
+    await asyncio.to_thread(routes.write_text, ROUTES)
+    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+        yield lab
+
+
+@asynccontextmanager
+async def peer(lab: Lab, *role: str) -> AsyncIterator[Peer]:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, str(PEER), *role,
+        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+        env={**os.environ, "ROS_DOMAIN_ID": str(lab.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK},
+    )  # fmt: skip
+    lines: asyncio.Queue[list[Any]] = asyncio.Queue()
+
+    async def read() -> None:
+        assert process.stdout is not None
+        async for line in process.stdout:
+            lines.put_nowait(json.loads(line))
+        lines.put_nowait(["ended"])
+
+    reading = asyncio.create_task(read())
+    try:
+        yield Peer(process, lines)
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            await asyncio.wait_for(process.wait(), 5)
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+        await reading
+
+
+async def first(reader: MessageReader[Message]) -> Received[Message]:
+    async with asyncio.timeout(10):
+        return await anext(aiter(reader))
+
+
+def drain(reader: MessageReader[Message]) -> None:
+    while reader.subscription.take() is not None:
+        pass
+
+
+def replace_routes(lab: Lab, text: str) -> None:
+    lab.routes.write_text(text)
+    now_ns = time.time_ns()
+    os.utime(lab.routes, ns=(now_ns, now_ns))
+
+
+async def test_topic_arrives_with_its_origin(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    async with peer(lab, "talk"):
+        received = await first(reader)
+    assert isinstance(received.message, Text)
+    assert received.message.text.startswith("hello ")
+    assert received.header.origin == "ros2:/chatter"
+    assert received.header.hops == 1
+    assert abs(time.time_ns() - received.header.captured_ns) < 10e9
+
+
+async def test_topic_is_left_alone_until_someone_subscribes(lab: Lab) -> None:
+    async with peer(lab, "talk"), peer(lab, "watch") as watch:
+        await watch.until("endpoint", "writer", "rt/chatter")
+        await asyncio.sleep(0.5)
+        seen = []
+        while not watch.lines.empty():
+            seen.append(watch.lines.get_nowait())
+        assert not [line for line in seen if line[:3] == ["endpoint", "reader", "rt/chatter"]]
+        reader = lab.read("robot/said", Text)
+        line = await watch.until("endpoint", "reader", "rt/chatter")
+        assert line[5] == (
+            "typehash=RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18;"
+        )
+        await first(reader)
+        reader.subscription.close()
+
+
+async def test_best_effort_publisher_is_heard(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    async with peer(lab, "talk_best_effort"):
+        await first(reader)
+
+
+async def test_best_effort_publisher_that_comes_later_is_heard_too(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    async with peer(lab, "talk") as reliable:
+        await first(reader)
+        async with peer(lab, "talk_best_effort") as late:
+            await late.until("ready")
+            reliable.process.send_signal(signal.SIGKILL)
+            await asyncio.sleep(0.5)
+            drain(reader)
+            await first(reader)
+
+
+async def test_latched_message_reaches_us_late(lab: Lab) -> None:
+    async with peer(lab, "latch") as latch:
+        await latch.until("ready")
+        received = await first(lab.read("robot/said", Text))
+    assert isinstance(received.message, Text)
+    assert received.message.text == "from long ago"
+
+
+async def test_restarted_publisher_is_heard_again(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    for _ in range(2):
+        async with peer(lab, "talk"):
+            await first(reader)
+        drain(reader)
+
+
+async def test_topic_without_route_is_mirrored_and_goes(lab: Lab) -> None:
+    async with peer(lab, "images", "100000", "30"):
+        received = await first(lab.read("ros2/image", Image))
+        assert isinstance(received.message, Image)
+        assert received.message.pixels.shape == (480, 640, 3)
+        assert (await lab.carried())["/image"] == "ros2/image"
+    async with asyncio.timeout(5):
+        while "/image" in await lab.carried():
+            await asyncio.sleep(0.05)
+
+
+async def test_unknown_type_passes_as_its_bytes(lab: Lab) -> None:
+    async with (
+        peer(lab, "strange"),
+        asyncio.timeout(10),
+        lab.bus.subscribe("ros2/strange", Delivery.latest()) as subscription,
+    ):
+        sample = await anext(aiter(subscription))
+    assert sample.encoding == "application/cdr;lab_msgs/msg/Strange"
+    assert sample.payload == bytes.fromhex("00010000 01000000 02000000")
+
+
+async def test_folder_of_a_lab_makes_a_type_known(tmp_path: Path) -> None:
+    folder = tmp_path / "lab_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Strange.msg").write_text("int32 left\nint32 right\n")
+    routes = tmp_path / "routes.yaml"
+    routes.write_text("")
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes, types=(tmp_path,)) as lab,
+        peer(lab, "strange_typed"),
+    ):
+        received = await first(lab.read("ros2/strange", Native))
+    assert received.message == Native(value={"left": 1, "right": 2})
+
+
+async def test_other_definition_of_a_type_is_refused_by_name(lab: Lab) -> None:
+    reader = lab.read("robot/said")
+    async with peer(lab, "talk_other_hash"):
+        text = await lab.told(lambda text: "another definition" in text)
+    assert "/lab/talk_other_hash has another definition of std_msgs/msg/String" in text
+    assert f"RIHS01_{'0' * 64}" in text
+    assert "RIHS01_df668c74" in text
+    reader.subscription.close()
+
+
+OUTBOUND = """
+topics:
+  - {ros: /chatter, key: robot/words, type: std_msgs/msg/String, direction: outbound,
+     delivery: queue, depth: 64}
+"""
+
+
+async def test_key_reaches_a_ros_subscriber(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OUTBOUND)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        peer(lab, "listen") as listener,
+    ):
+        await listener.until("ready")
+        publisher = lab.publisher("robot/words")
+
+        async def speak() -> None:
+            while True:
+                publisher.publish(Text(text="hello from the fleet"))
+                await asyncio.sleep(0.05)
+
+        speaking = asyncio.create_task(speak())
+        assert await listener.until("heard") == ["heard", "hello from the fleet"]
+        speaking.cancel()
+
+
+async def test_nothing_is_carried_out_for_nobody(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OUTBOUND)
+    wanted: list[bool] = []
+    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+        lab.bus.follow_demand("robot/words", wanted.append)
+        await asyncio.sleep(0.2)
+        assert wanted in ([], [False])
+        async with peer(lab, "listen"):
+            await eventually(lambda: wanted[-1:] == [True])
+        await eventually(lambda: wanted[-1:] == [False])
+
+
+async def test_latched_subscriber_gets_what_was_before_it(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(
+        "topics: [{ros: /chatter, key: robot/words, type: std_msgs/msg/String, "
+        "direction: outbound, retain: true, depth: 1}]"
+    )
+    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+        lab.publisher("robot/words").publish(Text(text="before"))
+        await asyncio.sleep(0.2)
+        async with peer(lab, "listen_latched") as listener:
+            assert await listener.until("heard") == ["heard", "before"]
+
+
+async def test_what_came_from_ros_does_not_go_back(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OUTBOUND)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        peer(lab, "listen") as listener,
+    ):
+        await listener.until("ready")
+        echo = MessagePublisher(lab.bus, lab.codecs, "robot/words", origin="ros2:/other")
+        own = lab.publisher("robot/words")
+
+        async def speak() -> None:
+            while True:
+                echo.publish(Text(text="echo"))
+                own.publish(Text(text="own"))
+                await asyncio.sleep(0.05)
+
+        speaking = asyncio.create_task(speak())
+        heard = [(await listener.until("heard"))[1] for _ in range(5)]
+        speaking.cancel()
+    assert heard == ["own"] * 5
+
+
+async def test_message_of_another_kind_is_refused_and_the_route_lives(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OUTBOUND)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        peer(lab, "listen") as listener,
+    ):
+        await listener.until("ready")
+        publisher = lab.publisher("robot/words")
+
+        async def speak() -> None:
+            while True:
+                publisher.publish(Native(value=5))
+                publisher.publish(Text(text="fine"))
+                await asyncio.sleep(0.05)
+
+        speaking = asyncio.create_task(speak())
+        assert (await listener.until("heard"))[1] == "fine"
+        metrics = await lab.bus.call("@vertebra/services/ros2/1/metrics", timeout_s=5)
+        assert b"vertebra_ros2_refused_total 0.0" not in metrics.payload
+        speaking.cancel()
+
+
+async def test_ros_service_is_called_by_its_key(lab: Lab) -> None:
+    async with peer(lab, "serve_sum") as server:
+        await server.until("ready")
+        assert await lab.call("robot/sum", {"a": 40, "b": 2}) == {"sum": 42}
+        assert await lab.call("ros2/add_two_ints", {"a": 1}) == {"sum": 1}
+
+
+async def test_many_calls_at_once_get_their_own_answers(lab: Lab) -> None:
+    async with peer(lab, "serve_sum") as server:
+        await server.until("ready")
+        calls = (lab.call("robot/sum", {"a": number, "b": 1}) for number in range(50))
+        sums = await asyncio.gather(*calls)
+    assert sums == [{"sum": number + 1} for number in range(50)]
+
+
+async def test_call_passes_as_its_bytes(lab: Lab) -> None:
+    cdr = Cdr(Types.standard())
+    name = "example_interfaces/srv/AddTwoInts"
+    async with peer(lab, "serve_sum") as server:
+        await server.until("ready")
+        reply = await lab.bus.call(
+            "robot/sum",
+            cdr.encode({"a": 40, "b": 2}, f"{name}_Request"),
+            encoding="application/cdr",
+            timeout_s=5,
+        )
+    assert reply.encoding == f"application/cdr;{name}_Response"
+    assert cdr.decode(reply.payload, f"{name}_Response") == {"sum": 42}
+
+
+async def test_call_that_is_no_request_is_refused(lab: Lab) -> None:
+    async with peer(lab, "serve_sum") as server:
+        await server.until("ready")
+        with pytest.raises(RemoteError, match="there is no field 'c'; known: a, b") as caught:
+            await lab.call("robot/sum", {"c": 1})
+        assert caught.value.kind == "CommandRefusedError"
+        with pytest.raises(RemoteError, match=r"AddTwoInts_Request\.a: is int64, not 'x'"):
+            await lab.call("robot/sum", {"a": "x"})
+
+
+async def test_call_without_an_answer_has_a_deadline(lab: Lab) -> None:
+    async with peer(lab, "serve_sum") as server:
+        await server.until("ready")
+        assert await lab.call("robot/sum", {"a": 1}) == {"sum": 1}
+        with pytest.raises((RemoteError, TimeoutError)) as caught:
+            await lab.call("robot/sum", {"a": -1}, timeout_s=0.5)
+        assert "DeadlineError" in str(caught.value) or isinstance(caught.value, TimeoutError)
+        assert await lab.call("robot/sum", {"a": 2}) == {"sum": 2}
+
+
+async def test_call_of_nobody_says_so(lab: Lab) -> None:
+    with pytest.raises(RemoteError, match="nobody offers the ROS service /add_two_ints"):
+        await lab.call("robot/sum", {"a": 1})
+
+
+async def test_restarted_server_is_called_again(lab: Lab) -> None:
+    for _ in range(2):
+        async with peer(lab, "serve_sum") as server:
+            await server.until("ready")
+            assert await lab.call("robot/sum", {"a": 40, "b": 2}) == {"sum": 42}
+
+
+async def test_service_of_fast_dds_is_recognised(lab: Lab) -> None:
+    async with peer(lab, "serve_sum_fast_dds") as server:
+        await server.until("ready")
+        text = await lab.told(lambda text: "ROS services: 1 cannot be called" in text)
+        assert "/add_two_ints" in text
+        assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in text
+        began_s = time.monotonic()
+        with pytest.raises(RemoteError, match="RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"):
+            await lab.call("ros2/add_two_ints", {"a": 1})
+        assert time.monotonic() - began_s < 1
+
+
+OFFERED = """
+services:
+  - {ros: /fleet_sum, key: robot/sum, type: example_interfaces/srv/AddTwoInts,
+     direction: outbound, timeout_s: 1}
+"""
+
+
+async def test_key_is_called_through_ros(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OFFERED)
+    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+
+        async def add(request: Request) -> Reply:
+            terms = json.loads(request.payload)
+            return Reply(
+                payload=json.dumps({"sum": terms["a"] + terms["b"]}).encode(),
+                encoding="application/json",
+            )
+
+        lab.bus.serve("robot/sum", add)
+        async with peer(lab, "ask_sum", "3") as client:
+            for number in (1, 2, 3):
+                assert await client.until("sum") == ["sum", True, number, number + 2]
+
+
+async def test_our_node_is_in_the_graph(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OFFERED)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes, node="fleet", namespace="/lab") as lab,
+        peer(lab, "watch") as watch,
+    ):
+        request = await watch.until("endpoint", "reader", "rq/fleet_sumRequest")
+        reply = await watch.until("endpoint", "writer", "rr/fleet_sumReply")
+    assert request[3] == "example_interfaces::srv::dds_::AddTwoInts_Request_"
+    assert reply[3] == "example_interfaces::srv::dds_::AddTwoInts_Response_"
+    said = dict(entry.split("=") for entry in request[5].removesuffix(";").split(";"))
+    assert said["typehash"].startswith("RIHS01_e118de6bf5")
+    assert len(said["serviceid"].split(".")) == 16
+    assert request[5] == reply[5]
+
+
+async def test_our_node_names_its_endpoints(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OFFERED)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes, node="fleet", namespace="/lab") as lab,
+        peer(lab, "watch") as watch,
+    ):
+        node = await watch.until("node", "/lab", "fleet")
+        gids: set[str] = set()
+        while len(gids) < 2:
+            line = await watch.until("endpoint")
+            if line[2].startswith("r") and line[2].endswith(("Request", "Reply")):
+                gids.add(line[4])
+        while not gids <= set(node[3]):
+            node = await watch.until("node", "/lab", "fleet")
+
+
+async def test_routes_are_taken_over_without_a_restart(lab: Lab) -> None:
+    await asyncio.to_thread(replace_routes, lab, "topics: [{ros: /chatter, key: robot/other}]")
+    reader = lab.read("robot/other", Text)
+    async with peer(lab, "talk"):
+        await first(reader)
+    assert (await lab.carried()).get("/chatter") == "robot/other"
+
+
+async def test_faulty_routes_are_reported_and_change_nothing(lab: Lab) -> None:
+    await asyncio.to_thread(replace_routes, lab, "topics:\n  - {ros: chatter, key: robot/other}")
+    text = await lab.told(lambda text: "routes: kept as they were" in text)
+    assert "routes.yaml:2: " in text
+    assert (await lab.carried())["/chatter"] == "robot/said"
+
+
+async def test_route_of_an_unknown_type_does_not_start(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text("topics: [{ros: /a, key: a, type: lab/msg/No, direction: outbound}]")
+    settings = Ros2Settings(domain_id=next(DOMAINS), routes=routes)
+    with pytest.raises(ConfigError, match="the ROS type lab/msg/No is not known"):
+        await run_service("ros2", settings, serve, bus=MemoryBus(MemoryNetwork()))
+
+
+async def test_two_domains_on_one_backbone(tmp_path: Path) -> None:
+    network = MemoryNetwork()
+    (tmp_path / "a.yaml").write_text("topics: [{ros: /chatter, key: a/said}]")
+    (tmp_path / "b.yaml").write_text("topics: [{ros: /chatter, key: b/said}]")
+    async with (
+        adapter(network, next(DOMAINS), tmp_path / "a.yaml", automatic=False) as one,
+        peer(one, "talk"),
+    ):
+        received = await first(one.read("a/said", Text))
+    assert received.key == "a/said"
+
+
+async def test_joint_stream_of_1_khz_loses_nothing(lab: Lab) -> None:
+    reader = lab.read("robot/joints", JointState)
+    async with peer(lab, "joints", "2000", "1000") as robot:
+        received = []
+        async with asyncio.timeout(30):
+            async for one in reader:
+                received.append(one)
+                if len(received) == 2000:
+                    break
+        await robot.until("sent")
+    sequences = [one.header.sequence for one in received]
+    assert sequences == list(range(2000))
+    assert reader.subscription.dropped == 0
+
+
+async def test_vga_images_at_30_hz_lose_nothing(lab: Lab) -> None:
+    reader = lab.read("ros2/image", Image)
+    async with peer(lab, "images", "60", "30"):
+        delays_ns = []
+        async with asyncio.timeout(30):
+            async for one in reader:
+                delays_ns.append(time.time_ns() - one.header.captured_ns)
+                if len(delays_ns) == 60:
+                    break
+    assert sorted(delays_ns)[30] < 50e6
