@@ -26,13 +26,16 @@ HEADER = "# Made by deploy/requirements/compile.py from {source}. Do not edit.\n
 
 
 def distributions() -> dict[str, tuple[Path, list[str]]]:
-    """Return folder and dependencies of each of our distributions, by name."""
+    """Return folder and dependencies of each of our distributions, and of their extras, by name."""
     found = {}
     for file in [ROOT / "shared/pyproject.toml", *sorted(ROOT.glob("*/*/pyproject.toml"))]:
         if file.parent.name.startswith("_"):
             continue  # services/_template
         project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
-        found[project["name"]] = (file.parent, project.get("dependencies", []))
+        name = project["name"]
+        found[name] = (file.parent, project.get("dependencies", []))
+        for extra, needed in project.get("optional-dependencies", {}).items():
+            found[f"{name}[{extra}]"] = (file.parent, [name, *needed])
     return found
 
 
@@ -40,7 +43,7 @@ def third_party(name: str, ours: dict[str, tuple[Path, list[str]]]) -> set[str]:
     """Return what distribution `name` needs from outside, also through others of ours."""
     needed: set[str] = set()
     for dependency in ours[name][1]:
-        match = re.match(r"[A-Za-z0-9._-]+", dependency)
+        match = re.match(r"[A-Za-z0-9._-]+(\[[a-z0-9]+\])?", dependency)
         if match is None:
             sys.exit(f"{ours[name][0]}/pyproject.toml: {dependency!r} is not a dependency")
         if match[0] in ours:

@@ -34,12 +34,14 @@ WHERE: Final = {
     # middleware of others
     **{
         library: ["services/*/driver*.py"]
-        for library in ("aiomqtt", "cyclonedds", "paho", "rclpy", "rospy", "yarp", "zmq")
+        for library in ("aiomqtt", "paho", "rclpy", "rospy", "yarp", "zmq")
     },
+    "cyclonedds": ["shared/src/vertebra/ros2/driver_dds*.py"],
+    "rosbags": ["shared/src/vertebra/ros2/definitions.py"],
     # pictures and numbers
     "cv2": ["services/camera/*/driver_opencv.py", "services/face_tracking/*"],
     "PIL": ["plugins/pillow/*", "services/camera/*", "services/gateway/*", "services/simulator/*"],
-    "numpy": ["plugins/numpy/*", "services/*"],
+    "numpy": ["plugins/numpy/*", "services/*", "shared/src/vertebra/ros2/mapping.py"],
     # the web
     "fastapi": ["services/gateway/*"],
     "starlette": ["services/gateway/*"],
@@ -53,7 +55,10 @@ WHERE: Final = {
 
 PURE: Final = {
     "shared/src/vertebra/codec/*.py", "shared/src/vertebra/keys.py",
-    "shared/src/vertebra/messages/*.py", "shared/src/vertebra/yarp/bottle.py",
+    "shared/src/vertebra/messages/*.py",
+    "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
+    "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/mapping.py",
+    "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py", "shared/src/vertebra/yarp/bottle.py",
     "shared/src/vertebra/yarp/dialect.py", "shared/src/vertebra/yarp/incoming.py",
     "shared/src/vertebra/yarp/objects/*.py", "shared/src/vertebra/yarp/packets.py",
     "shared/src/vertebra/yarp/receiver.py", "shared/src/vertebra/yarp/text.py",
