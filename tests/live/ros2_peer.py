@@ -299,6 +299,11 @@ def serve_sum(peer: Peer, *, as_fast_dds: bool) -> None:
     while not peer.done.wait(0.001):
         for request in peer.take(reader):
             if request.a >= 0:  # what is negative gets no answer
+                until_s = time.monotonic() + 0.1  # rmw_cyclonedds holds replies as long
+                while time.monotonic() < until_s and len(writer.get_matched_subscriptions()) < len(
+                    reader.get_matched_publications()
+                ):
+                    time.sleep(0.001)
                 writer.write(AddReply(request.guid, request.seq, request.a + request.b))
 
 

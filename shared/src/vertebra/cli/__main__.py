@@ -7,7 +7,7 @@ import os
 import sys
 
 from vertebra import __version__
-from vertebra.cli import bench, call, check, doctor, echo, keys, pub, test, up, yarp
+from vertebra.cli import bench, call, check, doctor, echo, keys, pub, ros2, test, up, yarp
 from vertebra.errors import ConfigError, NameMappingError, VertebraError
 
 _EXIT_INTERRUPTED = 130
@@ -20,7 +20,7 @@ def main() -> int:
     )
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for module in (up, doctor, keys, echo, pub, call, yarp, test, check, bench):
+    for module in (up, doctor, keys, echo, pub, call, yarp, ros2, test, check, bench):
         module.add_to(commands)
     arguments, others = parser.parse_known_args()
     if others and "pytest_arguments" not in arguments:

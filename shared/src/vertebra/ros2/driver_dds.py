@@ -23,8 +23,9 @@ from cyclonedds.core import DDSException, InstanceState
 from cyclonedds.domain import Domain
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
+from cyclonedds.util import duration
 
-from vertebra.errors import NotConnectedError, TransportError
+from vertebra.errors import DeadlineError, NotConnectedError, TransportError
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import OnPayload, OnRequest
@@ -209,6 +210,24 @@ class TopicWriter:
         if self._closed:
             raise NotConnectedError(f"the writer of {self._name} is closed")
         write(self._writer, payload)
+
+    async def matched(self) -> None:
+        """Wait until somebody reads the topic."""
+        change = self._dds.follow_matches(self._writer)
+        while not self._writer.get_matched_subscriptions():
+            change.clear()
+            await change.wait()
+
+    async def delivered(self, timeout_s: float) -> None:
+        """Wait until all who read the topic have what was written.
+
+        Raises:
+            DeadlineError: Somebody has not got it in time.
+        """
+        try:
+            await asyncio.to_thread(self._writer.wait_for_acks, duration(seconds=timeout_s))
+        except DDSException as error:
+            raise DeadlineError(f"a subscriber of {self._name}", timeout_s) from error
 
     def close(self) -> None:
         """End it."""
