@@ -26,6 +26,7 @@ from vertebra_ros2.topics import InboundTopic, OutboundTopic
 log = logging.getLogger(__name__)
 
 LOOK_EVERY_S: Final = 2.0
+LOOK_AT_MOST_EVERY_S: Final = 0.05
 
 
 async def serve(context: Context[Ros2Settings]) -> None:
@@ -110,6 +111,7 @@ class Adapter:
         """Do what changes of the ROS graph make necessary, many at a time."""
         while True:
             await self._look()
+            await asyncio.sleep(LOOK_AT_MOST_EVERY_S)  # what comes meanwhile is looked at once
             try:
                 async with asyncio.timeout(LOOK_EVERY_S):
                     await self._changed.wait()

@@ -6,11 +6,12 @@ import asyncio
 import time
 from typing import Final
 
-from vertebra.bus import Delivery, Priority, Sample
+from vertebra.bus import Delivery, Priority, Publisher, Sample
 from vertebra.errors import CodecError, TransportError
 from vertebra.ros2 import mapping
 from vertebra.ros2.driver import Reader, Writer
 from vertebra.ros2.qos import Qos, for_reader, for_writer
+from vertebra.service import MessagePublisher
 from vertebra_ros2.carried import Kit
 from vertebra_ros2.routes import Topic
 
@@ -18,7 +19,9 @@ CDR_ENCODING: Final = "application/cdr"
 """Payloads as they are on ROS; behind `;` stands their ROS type."""
 ORIGIN: Final = "ros2:"
 """Begins the origin of every message that came from ROS."""
-_BULK: Final = frozenset({"Image", "CompressedImage", "PointCloud2"})
+_BULK: Final = frozenset(
+    {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2"}
+)
 
 
 class InboundTopic:
@@ -34,11 +37,7 @@ class InboundTopic:
         self._interval_ns = round(1e9 / route.max_rate_hz) if route.max_rate_hz else 0
         self._next_ns = 0
         self._count = kit.messages.labels(route.ros, route.key, route.direction)
-        self._publisher = kit.context.publisher(route.key, origin=f"{ORIGIN}{route.ros}")
-        self._bulk = kit.context.publisher(
-            route.key, priority=Priority.BULK, origin=f"{ORIGIN}{route.ros}"
-        )
-        self._raw = kit.context.bus.publisher(route.key, encoding=CDR_ENCODING)
+        self._publisher: MessagePublisher | Publisher | None = None
         self._demand = kit.context.bus.follow_demand(route.key, self._on_wanted)
 
     def _on_wanted(self, wanted: bool) -> None:  # noqa: FBT001  - the callback of the interface
@@ -66,9 +65,18 @@ class InboundTopic:
             self._reader = self.kit.transport.reader(self.route.ros, *wanted_as, self._came)
         except TransportError as error:
             self._report(str(error))
-        else:
-            self._read_as = wanted_as
-            self._report("")
+            return
+        self._read_as = wanted_as
+        self._publisher = self._open(type_name)
+        self._report("")
+
+    def _open(self, type_name: str) -> MessagePublisher | Publisher:
+        context, key = self.kit.context, self.route.key
+        priority = Priority.BULK if type_name in _BULK else Priority.DATA
+        if type_name not in self.kit.types:
+            encoding = f"{CDR_ENCODING};{type_name}"
+            return context.bus.publisher(key, encoding=encoding, priority=priority)
+        return context.publisher(key, priority=priority, origin=f"{ORIGIN}{self.route.ros}")
 
     def _watch(self) -> None:
         """Tell what DDS says of the reader."""
@@ -87,20 +95,24 @@ class InboundTopic:
             if sent_ns < self._next_ns:
                 return
             self._next_ns = max(self._next_ns + self._interval_ns, sent_ns)
-        type_name = self._read_as[0] if self._read_as is not None else ""
-        if type_name not in self.kit.types:
-            self._raw.put(payload, encoding=f"{CDR_ENCODING};{type_name}")
-            self._count.inc()
+        if self._read_as is None or self._publisher is None:
             return
+        if isinstance(self._publisher, MessagePublisher):
+            self._publish(self._publisher, payload, self._read_as[0], sent_ns)
+        else:
+            self._publisher.put(payload)
+        self._count.inc()
+
+    def _publish(
+        self, publisher: MessagePublisher, payload: bytes, type_name: str, sent_ns: int
+    ) -> None:
         try:
             record = self.kit.cdr.decode(payload, type_name)
             message = mapping.to_message(record, type_name)
         except CodecError:
             self.kit.refused.inc()
             raise  # the driver logs it
-        publisher = self._bulk if type_name.rpartition("/")[2] in _BULK else self._publisher
         publisher.publish(message, captured_ns=mapping.captured_ns(record, sent_ns), hops=1)
-        self._count.inc()
 
     def _stop(self) -> None:
         if self._reader is not None:
@@ -108,14 +120,15 @@ class InboundTopic:
             self._reader.close()
             self._reader = self._read_as = None
             self._dropped = 0
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
 
     async def close(self) -> None:
         """End it."""
         self._demand.close()
         self._stop()
         self._report("")
-        for publisher in (self._publisher, self._bulk, self._raw):
-            publisher.close()
 
 
 class OutboundTopic:

@@ -205,8 +205,8 @@ class Participant:
                 while self._commands:
                     self._commands.popleft()()
                 self._look()
-        except DDSException as error:
-            failure = TransportError(f"DDS stopped: {error}; restart this service")
+        except Exception as error:  # noqa: BLE001  - a thread that ends must not end silently
+            failure = TransportError(f"DDS stopped: {error!r}; restart this service")
             self._tell(lambda: self._fail(failure))
 
     def _look(self) -> None:

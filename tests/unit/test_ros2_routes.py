@@ -1,0 +1,101 @@
+"""Routes of the ROS 2 adapter: what a file says, and which line is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vertebra.errors import ConfigError
+from vertebra_ros2.routes import Service, Topic, parse, read
+
+SHIPPED = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
+
+
+def test_every_field() -> None:
+    text = """
+topics:
+  - {ros: /scan, key: base/scan, depth: 5, max_rate_hz: 10}
+  - {ros: /words, key: words, type: std_msgs/msg/String, direction: outbound, retain: true}
+services:
+  - {ros: /reset, key: base/reset, type: std_srvs/srv/Trigger}
+"""
+    assert parse(text, "routes.yaml") == (
+        Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
+        Topic(
+            ros="/words",
+            key="words",
+            type="std_msgs/msg/String",
+            direction="outbound",
+            retain=True,
+        ),
+        Service(ros="/reset", key="base/reset", type="std_srvs/srv/Trigger"),
+    )
+
+
+@pytest.mark.parametrize("text", ["", "# nothing", "topics:\nservices: []", "topics: []"])
+def test_nothing_is_no_route(text: str) -> None:
+    assert parse(text, "routes.yaml") == ()
+
+
+def test_shipped_file_is_right() -> None:
+    assert read(SHIPPED) == ()
+
+
+def test_no_file_is_no_route() -> None:
+    assert read(None) == ()
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nowhere"):
+        read(tmp_path / "nowhere.yaml")
+
+
+def test_topic_may_go_both_ways() -> None:
+    text = """
+topics:
+  - {ros: /a, key: in}
+  - {ros: /a, key: out, type: std_msgs/msg/String, direction: outbound}
+services:
+  - {ros: /a, key: a}
+"""
+    assert len(parse(text, "routes.yaml")) == 3
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("{ros: a, key: a}", "a ROS name is '/' and tokens"),
+        ("{ros: /a, key: /a}", "a key has no empty chunk"),
+        ("{ros: /a, key: a, typ: x}", "unknown field `typ`"),
+        ("{ros: /a}", "missing required field `key`"),
+        ("{ros: /a, key: a, direction: out}", "Invalid enum value 'out'"),
+        ("{ros: /a, key: a, direction: outbound}", "an outbound route says the ROS type of /a"),
+        ("{ros: /a, key: a, type: String}", "a ROS type is called as in"),
+        ("{ros: /a, key: a, depth: 0}", "a depth is at least 1, not 0"),
+        ("{ros: /b, key: a}", r"the ROS topic /b \(inbound\) has a route in line 2 already"),
+        ("{ros: /a, key: b}", r"the key b \(inbound\) has a route in line 2 already"),
+    ],
+)
+def test_bad_line_is_named(line: str, told: str) -> None:
+    text = f"topics:\n  - {{ros: /b, key: b}}\n  - {line}"
+    with pytest.raises(ConfigError, match=f"routes.yaml:3: .*{told}"):
+        parse(text, "routes.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("topics: {ros: /a}", "routes.yaml:1: topics is a list of routes"),
+        ("streams: []", "expected a map with the keys topics, services"),
+        ("- a", "expected a map"),
+        ("topics: [", "routes.yaml is no YAML"),
+        (
+            "services: [{ros: /a, key: a, type: std_msgs/msg/String}]",
+            "std_msgs/msg/String is a message",
+        ),
+    ],
+)
+def test_file_of_another_form_is_refused(text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        parse(text, "routes.yaml")
