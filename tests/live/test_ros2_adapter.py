@@ -75,7 +75,7 @@ class Lab:
     domain_id: int
     service: asyncio.Task[None]
     routes: Path
-    statuses: list[Status] = field(default_factory=list)
+    instance: str = "1"
 
     def publisher(self, key: str) -> MessagePublisher:
         return MessagePublisher(self.bus, self.codecs, key)
@@ -94,7 +94,7 @@ class Lab:
 
     async def told(self, fits: Callable[[str], bool]) -> str:
         """Return the first status text that fits."""
-        reader = self.read("@vertebra/services/ros2/1/status", Status)
+        reader = self.read(f"@vertebra/services/ros2/{self.instance}/status", Status)
         async with asyncio.timeout(10):
             async for received in reader:
                 assert isinstance(received.message, Status)
@@ -111,7 +111,7 @@ async def adapter(
     bus = MemoryBus(network)
     chosen = Ros2Settings(domain_id=domain_id, routes=routes, **settings)
     service = asyncio.create_task(run_service("ros2", chosen, serve, bus=MemoryBus(network)))
-    lab = Lab(bus, CodecRegistry(), domain_id, service, routes)
+    lab = Lab(bus, CodecRegistry(), domain_id, service, routes, chosen.instance)
     await lab.told(lambda text: "not ready" not in text)
     try:
         yield lab
@@ -540,14 +540,31 @@ async def test_route_of_an_unknown_type_does_not_start(tmp_path: Path) -> None:
 
 async def test_two_domains_on_one_backbone(tmp_path: Path) -> None:
     network = MemoryNetwork()
-    (tmp_path / "a.yaml").write_text("topics: [{ros: /chatter, key: a/said}]")
-    (tmp_path / "b.yaml").write_text("topics: [{ros: /chatter, key: b/said}]")
+    one_file, other_file = tmp_path / "one.yaml", tmp_path / "other.yaml"
+    one_file.write_text("topics: [{ros: /chatter, key: one/said}]")
+    other_file.write_text("topics: [{ros: /chatter, key: other/said}]")
     async with (
-        adapter(network, next(DOMAINS), tmp_path / "a.yaml", automatic=False) as one,
-        peer(one, "talk"),
+        adapter(network, next(DOMAINS), one_file, automatic=False) as one,
+        adapter(network, next(DOMAINS), other_file, automatic=False, instance="2") as other,
     ):
-        received = await first(one.read("a/said", Text))
-    assert received.key == "a/said"
+        said_in_one, said_in_other = one.read("one/said", Text), one.read("other/said", Text)
+        async with peer(one, "talk"):
+            await first(said_in_one)
+        assert said_in_other.subscription.take() is None
+        async with peer(other, "latch"):
+            received = await first(said_in_other)
+    assert received.message == Text(text="from long ago")
+
+
+async def test_killed_publisher_is_missed_and_a_new_one_is_heard(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    async with peer(lab, "talk") as killed:
+        await first(reader)
+        killed.process.kill()
+        await killed.process.wait()
+    drain(reader)
+    async with peer(lab, "talk"):
+        await first(reader)
 
 
 async def test_joint_stream_of_1_khz_loses_nothing(lab: Lab) -> None:

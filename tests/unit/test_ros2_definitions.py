@@ -161,6 +161,15 @@ def test_unknown_type_says_what_mends_it(standard: Types) -> None:
         standard.definition("lab_msgs/msg/Nothing")
 
 
+def test_type_that_is_a_part_of_itself_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "lab_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Egg.msg").write_text("Hen[] hens")
+    (folder / "Hen.msg").write_text("Egg egg")
+    with pytest.raises(ConfigError, match="lab_msgs/msg/Egg > lab_msgs/msg/Hen"):
+        Types.standard(tmp_path)
+
+
 def test_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
         Types.standard(tmp_path / "nowhere")

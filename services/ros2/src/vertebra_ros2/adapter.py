@@ -15,10 +15,9 @@ from vertebra.ros2.driver import Transport
 from vertebra.ros2.driver_dds import dds_driver
 from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
-from vertebra.service.routes import Route
 from vertebra_ros2 import routes
 from vertebra_ros2.carried import Carried, Kit
-from vertebra_ros2.routes import Service, Topic
+from vertebra_ros2.routes import AnyRoute, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
@@ -66,7 +65,7 @@ class Adapter:
         self._kit = Kit(context, transport, types)
         self._graph = transport.graph
         self._clients = Clients(self._kit)
-        self._explicit: dict[Route, Carried] = {}
+        self._explicit: dict[AnyRoute, Carried] = {}
         self._mirrored: dict[str, InboundTopic] = {}
         self._changed = asyncio.Event()
         transport.on_graph(self._changed.set)
@@ -74,7 +73,7 @@ class Adapter:
         if context.settings.automatic:
             self._served_mirror = context.bus.serve(f"{MIRROR_PREFIX}/**", self._call_mirrored)
 
-    async def carry(self, wanted: Sequence[Route]) -> None:
+    async def carry(self, wanted: Sequence[AnyRoute]) -> None:
         """Carry exactly these explicit routes: those that stay are not touched.
 
         Raises:
@@ -82,27 +81,26 @@ class Adapter:
         """
         for route in [route for route in self._explicit if route not in wanted]:
             await self._explicit.pop(route).close()
-            self.context.routes.pop(_name(route), None)
+            self.context.routes.pop(route.ros, None)
         for route in wanted:
             if route in self._explicit:
                 continue
-            mirrored = self._mirrored.pop(_name(route), None)
+            mirrored = self._mirrored.pop(route.ros, None)
             if mirrored is not None:
                 await mirrored.close()
             try:
                 self._explicit[route] = self._make(route)
             except CodecError as error:
-                raise ConfigError(f"the route of {_name(route)}: {error}") from error
-            self.context.routes[_name(route)] = route.key
-            log.info("route %s <-> %s", _name(route), route.key)
+                raise ConfigError(f"the route of {route.ros}: {error}") from error
+            self.context.routes[route.ros] = route.key
+            log.info("route %s <-> %s", route.ros, route.key)
         self._changed.set()
 
-    def _make(self, route: Route) -> Carried:
+    def _make(self, route: AnyRoute) -> Carried:
         if isinstance(route, Topic):
             return (InboundTopic if route.direction == "inbound" else OutboundTopic)(
                 self._kit, route
             )
-        assert isinstance(route, Service)  # noqa: S101  - there are two kinds
         if route.direction == "inbound":
             return InboundService(self._kit, route, self._clients)
         return OutboundService(self._kit, route)
@@ -138,7 +136,7 @@ class Adapter:
         self._kit.report("ROS services", text)
 
     async def _mirror(self) -> None:
-        claimed = {_name(route) for route in self._explicit if isinstance(route, Topic)}
+        claimed = {route.ros for route in self._explicit if isinstance(route, Topic)}
         wanted = {
             name for name in self._graph.topics() if self._graph.writers(name)
         } - claimed  # fmt: skip
@@ -176,8 +174,3 @@ class Adapter:
         for carried in [*self._explicit.values(), *self._mirrored.values()]:
             await carried.close()
         self._clients.close()
-
-
-def _name(route: Route) -> str:
-    assert isinstance(route, Topic | Service)  # noqa: S101  - there are two kinds
-    return route.ros

@@ -22,7 +22,7 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         type: Its ROS type; inbound, empty takes what its publishers say.
         direction: `inbound` is from ROS to the backbone.
         delivery: What an outbound route keeps for a slow ROS subscriber.
-        depth: How many messages of it; inbound, how many may wait in DDS.
+        depth: How many messages of it; inbound, how many may wait for us, 64 at least.
         retain: Outbound, late joiners get the last `depth` messages (transient_local).
         max_rate_hz: Thins the stream out; 0 carries everything.
     """
@@ -77,14 +77,15 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 
 
-KINDS: Final[dict[str, type[Route]]] = {"topics": Topic, "services": Service}
+AnyRoute = Topic | Service
+KINDS: Final[dict[str, type[AnyRoute]]] = {"topics": Topic, "services": Service}
 
 
-def parse(text: str, where: str) -> tuple[Route, ...]:
+def parse(text: str, where: str) -> tuple[AnyRoute, ...]:
     """Return the routes in YAML text; raise `ConfigError`."""
     return parse_routes(text, where, KINDS)
 
 
-def read(path: Path | None) -> tuple[Route, ...]:
+def read(path: Path | None) -> tuple[AnyRoute, ...]:
     """Return the routes in a YAML file, none if `path` is None; raise `ConfigError`."""
     return read_routes(path, KINDS)

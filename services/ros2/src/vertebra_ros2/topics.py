@@ -19,6 +19,8 @@ CDR_ENCODING: Final = "application/cdr"
 """Payloads as they are on ROS; behind `;` stands their ROS type."""
 ORIGIN: Final = "ros2:"
 """Begins the origin of every message that came from ROS."""
+LEAST_WAITING: Final = 64
+"""So many messages of a topic may wait for us: what DDS overwrites nobody counts."""
 _BULK: Final = frozenset(
     {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2"}
 )
@@ -56,7 +58,8 @@ class InboundTopic:
             self._stop()
             self._report(problem)
             return
-        wanted_as = (type_name, for_reader((one.qos for one in writers), self.route.depth))
+        depth = max(self.route.depth, LEAST_WAITING)
+        wanted_as = (type_name, for_reader((one.qos for one in writers), depth))
         if self._reader is not None and wanted_as == self._read_as:
             self._watch()
             return

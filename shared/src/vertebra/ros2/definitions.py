@@ -132,6 +132,17 @@ class Types:
                 self.add_idl(text, str(file))
             else:
                 self.add_text(f"{file.parent.parent.name}/{kind}/{file.stem}", text, str(file))
+        for name in self._definitions:
+            self._check_finite(name, ())
+
+    def _check_finite(self, name: str, within: tuple[str, ...]) -> None:
+        if name in within:
+            raise ConfigError(
+                f"{self._sources[name]}: {name} is a part of itself: {' > '.join(within)}"
+            )
+        for field in self._definitions.get(name, ()):
+            if field.type not in PRIMITIVES:
+                self._check_finite(field.type, (*within, name))
 
     def add_text(self, name: str, text: str, where: str) -> None:
         """Add a `.msg`, `.srv` or `.action`; which one is in the middle of `name`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -23,7 +23,10 @@ class Route(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         raise NotImplementedError
 
 
-def read_routes(path: Path | None, kinds: Mapping[str, type[Route]]) -> tuple[Route, ...]:
+R = TypeVar("R", bound=Route)
+
+
+def read_routes(path: Path | None, kinds: Mapping[str, type[R]]) -> tuple[R, ...]:
     """Return the routes in a YAML file, none if `path` is None.
 
     Args:
@@ -42,7 +45,7 @@ def read_routes(path: Path | None, kinds: Mapping[str, type[Route]]) -> tuple[Ro
     return parse_routes(text, str(path), kinds)
 
 
-def parse_routes(text: str, where: str, kinds: Mapping[str, type[Route]]) -> tuple[Route, ...]:
+def parse_routes(text: str, where: str, kinds: Mapping[str, type[R]]) -> tuple[R, ...]:
     """Return the routes in YAML text; `where` names it in errors. Raises `ConfigError`."""
     try:
         root = yaml.compose(text, yaml.SafeLoader)
@@ -53,7 +56,7 @@ def parse_routes(text: str, where: str, kinds: Mapping[str, type[Route]]) -> tup
         return ()
     if not isinstance(document, dict) or not document.keys() <= kinds.keys():
         raise ConfigError(f"{where}: expected a map with the keys {', '.join(kinds)}")
-    routes: list[Route] = []
+    routes: list[R] = []
     taken: dict[str, int] = {}
     for kind, item, line in _items(root, document, where):
         try:
