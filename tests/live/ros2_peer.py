@@ -119,6 +119,87 @@ class Nodes(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo
     node_entities_info_seq: sequence[Node]
 
 
+ACTION = "example_interfaces.action.dds_.Fibonacci_"
+
+
+@dataclass
+class GoalId(IdlStruct, typename="unique_identifier_msgs.msg.dds_.UUID_"):
+    uuid: Gids
+
+
+@dataclass
+class Goal(IdlStruct, typename=f"{ACTION}Goal_"):
+    order: int32
+
+
+@dataclass
+class Result(IdlStruct, typename=f"{ACTION}Result_"):
+    sequence: sequence[int32]
+
+
+@dataclass
+class Feedback(IdlStruct, typename=f"{ACTION}Feedback_"):
+    sequence: sequence[int32]
+
+
+@dataclass
+class SendGoalRequest(IdlStruct, typename=f"{ACTION}SendGoal_Request_"):
+    guid: uint64
+    seq: int64
+    goal_id: GoalId
+    goal: Goal
+
+
+@dataclass
+class SendGoalReply(IdlStruct, typename=f"{ACTION}SendGoal_Response_"):
+    guid: uint64
+    seq: int64
+    accepted: bool
+    stamp: Time
+
+
+@dataclass
+class GetResultRequest(IdlStruct, typename=f"{ACTION}GetResult_Request_"):
+    guid: uint64
+    seq: int64
+    goal_id: GoalId
+
+
+@dataclass
+class GetResultReply(IdlStruct, typename=f"{ACTION}GetResult_Response_"):
+    guid: uint64
+    seq: int64
+    status: byte
+    result: Result
+
+
+@dataclass
+class FeedbackMessage(IdlStruct, typename=f"{ACTION}FeedbackMessage_"):
+    goal_id: GoalId
+    feedback: Feedback
+
+
+@dataclass
+class GoalInfo(IdlStruct, typename="action_msgs.msg.dds_.GoalInfo_"):
+    goal_id: GoalId
+    stamp: Time
+
+
+@dataclass
+class CancelRequest(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Request_"):
+    guid: uint64
+    seq: int64
+    goal_info: GoalInfo
+
+
+@dataclass
+class CancelReply(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Response_"):
+    guid: uint64
+    seq: int64
+    return_code: byte
+    goals_canceling: sequence[GoalInfo]
+
+
 class Raw:
     """A sample as its bytes."""
 
@@ -299,12 +380,65 @@ def serve_sum(peer: Peer, *, as_fast_dds: bool) -> None:
     while not peer.done.wait(0.001):
         for request in peer.take(reader):
             if request.a >= 0:  # what is negative gets no answer
-                until_s = time.monotonic() + 0.1  # rmw_cyclonedds holds replies as long
-                while time.monotonic() < until_s and len(writer.get_matched_subscriptions()) < len(
-                    reader.get_matched_publications()
-                ):
-                    time.sleep(0.001)
+                hold(writer, reader)
                 writer.write(AddReply(request.guid, request.seq, request.a + request.b))
+
+
+def hold(writer: Any, reader: Any) -> None:
+    """Wait for the reader of a client's replies, as rmw_cyclonedds does."""
+    until_s = time.monotonic() + 0.1
+    while time.monotonic() < until_s and len(writer.get_matched_subscriptions()) < len(
+        reader.get_matched_publications()
+    ):
+        time.sleep(0.001)
+
+
+def count_up(peer: Peer) -> None:
+    """Serve the action Fibonacci: one number each 50 ms; an order below 0 is refused."""
+
+    def pair(part: str, number: int, request: Any, reply: Any) -> tuple[Any, Any]:
+        settings = qos(f"serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.1.{number};")
+        name = f"fibonacci/_action/{part}"
+        return (
+            peer.read(f"rq/{name}Request", request, settings),
+            peer.write(f"rr/{name}Reply", reply, settings),
+        )
+
+    goals, accepts = pair("send_goal", 1, SendGoalRequest, SendGoalReply)
+    asks, results = pair("get_result", 2, GetResultRequest, GetResultReply)
+    cancels, cancelled = pair("cancel_goal", 3, CancelRequest, CancelReply)
+    told = peer.write("rt/fibonacci/_action/feedback", FeedbackMessage, qos())
+    node = peer.announce()
+    say("ready", str(node.guid))
+    running: dict[bytes, tuple[int, list[int]]] = {}
+    ended: dict[bytes, tuple[int, list[int]]] = {}
+    waiting: list[Any] = []
+    while not peer.done.wait(0.05):
+        for one in peer.take(goals):
+            accepted = one.goal.order >= 0
+            if accepted:
+                running[bytes(one.goal_id.uuid)] = (one.goal.order, [0, 1])
+            hold(accepts, goals)
+            accepts.write(SendGoalReply(one.guid, one.seq, accepted, Time(0, 0)))
+        for one in peer.take(cancels):
+            goal = bytes(one.goal_info.goal_id.uuid)
+            known = running.pop(goal, None)
+            if known is not None:
+                ended[goal] = (5, known[1])
+            hold(cancelled, cancels)
+            infos = [one.goal_info] if known is not None else []
+            cancelled.write(CancelReply(one.guid, one.seq, 0 if infos else 2, infos))
+        for goal, (order, numbers) in list(running.items()):
+            numbers.append(numbers[-1] + numbers[-2])
+            told.write(FeedbackMessage(GoalId(list(goal)), Feedback(numbers)))
+            if len(numbers) > order:
+                ended[goal] = (4, running.pop(goal)[1])
+        waiting += peer.take(asks)
+        for one in [one for one in waiting if bytes(one.goal_id.uuid) in ended]:
+            waiting.remove(one)
+            status, numbers = ended[bytes(one.goal_id.uuid)]
+            hold(results, asks)
+            results.write(GetResultReply(one.guid, one.seq, status, Result(numbers)))
 
 
 def ask_sum(peer: Peer, count: int) -> None:
@@ -382,6 +516,8 @@ def main() -> None:
         serve_sum(peer, as_fast_dds=True)
     elif role == "ask_sum":
         ask_sum(peer, int(arguments[0]))
+    elif role == "count_up":
+        count_up(peer)
     elif role == "watch":
         watch(peer)
     else:

@@ -45,6 +45,8 @@ topics:
   - {ros: /chatter, key: robot/said}
 services:
   - {ros: /add_two_ints, key: robot/sum}
+actions:
+  - {ros: /fibonacci, key: robot/count}
 """
 
 
@@ -454,6 +456,47 @@ async def test_service_of_fast_dds_is_recognised(lab: Lab) -> None:
         with pytest.raises(RemoteError, match="RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"):
             await lab.call("ros2/add_two_ints", {"a": 1})
         assert time.monotonic() - began_s < 1
+
+
+async def test_action_is_started_and_followed_to_its_result(lab: Lab) -> None:
+    feedback = lab.read("robot/count/feedback", Native)
+    async with peer(lab, "count_up") as server:
+        await server.until("ready")
+        await lab.told(lambda text: "action /fibonacci" not in text)
+        started = await lab.call("robot/count/goal", {"order": 6})
+        received = await first(feedback)
+        ended = await lab.call("robot/count/result", started)
+    assert isinstance(received.message, Native)
+    told = received.message.value
+    assert bytes(told["goal_id"]["uuid"].data).hex() == started["goal_id"]
+    assert told["feedback"]["sequence"].tolist()[:3] == [0, 1, 1]
+    assert ended == {"status": "succeeded", "result": {"sequence": [0, 1, 1, 2, 3, 5, 8]}}
+
+
+async def test_action_is_cancelled(lab: Lab) -> None:
+    async with peer(lab, "count_up") as server:
+        await server.until("ready")
+        await lab.told(lambda text: "action /fibonacci" not in text)
+        started = await lab.call("robot/count/goal", {"order": 1000})
+        cancelled = await lab.call("robot/count/cancel", started)
+        assert cancelled == {"cancelling": [started["goal_id"]]}
+        assert (await lab.call("robot/count/result", started))["status"] == "canceled"
+        with pytest.raises(RemoteError, match="does not know this goal"):
+            await lab.call("robot/count/cancel", started)
+
+
+async def test_goal_that_is_refused_or_no_goal_says_so(lab: Lab) -> None:
+    with pytest.raises(RemoteError, match="nobody offers the ROS action /fibonacci"):
+        await lab.call("robot/count/goal", {"order": 6})
+    async with peer(lab, "count_up") as server:
+        await server.until("ready")
+        await lab.told(lambda text: "action /fibonacci" not in text)
+        with pytest.raises(RemoteError, match="refuses this goal"):
+            await lab.call("robot/count/goal", {"order": -1})
+        with pytest.raises(RemoteError, match="there is no field 'ordr'; known: order"):
+            await lab.call("robot/count/goal", {"ordr": 1})
+        with pytest.raises(RemoteError, match="say which goal"):
+            await lab.call("robot/count/result", {"goal_id": "5"})
 
 
 OFFERED = """

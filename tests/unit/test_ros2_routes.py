@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
-from vertebra_ros2.routes import Service, Topic, parse, read
+from vertebra_ros2.routes import Action, Service, Topic, parse, read
 
 SHIPPED = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
 
@@ -19,6 +19,8 @@ topics:
   - {ros: /words, key: words, type: std_msgs/msg/String, direction: outbound, retain: true}
 services:
   - {ros: /reset, key: base/reset, type: std_srvs/srv/Trigger}
+actions:
+  - {ros: /navigate, key: base/navigate}
 """
     assert parse(text, "routes.yaml") == (
         Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
@@ -30,6 +32,7 @@ services:
             retain=True,
         ),
         Service(ros="/reset", key="base/reset", type="std_srvs/srv/Trigger"),
+        Action(ros="/navigate", key="base/navigate"),
     )
 
 
@@ -87,7 +90,7 @@ def test_bad_line_is_named(line: str, told: str) -> None:
     ("text", "told"),
     [
         ("topics: {ros: /a}", "routes.yaml:1: topics is a list of routes"),
-        ("streams: []", "expected a map with the keys topics, services"),
+        ("streams: []", "expected a map with the keys topics, services, actions"),
         ("- a", "expected a map"),
         ("topics: [", "routes.yaml is no YAML"),
         (

@@ -1,1 +1,1 @@
-"""The ROS 2 adapter: topics and services on the backbone."""
+"""The ROS 2 adapter: topics, services and actions on the backbone."""

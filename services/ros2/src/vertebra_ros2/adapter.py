@@ -16,8 +16,9 @@ from vertebra.ros2.driver_dds import dds_driver
 from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
 from vertebra_ros2 import routes
+from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.carried import Carried, Kit
-from vertebra_ros2.routes import AnyRoute, Topic
+from vertebra_ros2.routes import Action, AnyRoute, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
@@ -101,6 +102,8 @@ class Adapter:
             return (InboundTopic if route.direction == "inbound" else OutboundTopic)(
                 self._kit, route
             )
+        if isinstance(route, Action):
+            return InboundAction(self._kit, route, self._clients)
         if route.direction == "inbound":
             return InboundService(self._kit, route, self._clients)
         return OutboundService(self._kit, route)

@@ -69,6 +69,22 @@ class Service(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return tuple(f"{end} ({self.direction})" for end in ends)
 
 
+class Action(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A ROS action of a node, driven by keys below `key`: `goal`, `result`, `cancel`, `feedback`.
+
+    Attributes:
+        ros: The action.
+        key: Where it is on the backbone.
+    """
+
+    ros: str
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        return (f"the ROS action {check_name(self.ros)}", f"the key {check_key(self.key)}")
+
+
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
     check_name(name)
     if type_name and check_type(type_name).split("/")[1] == "msg" and kind != "msg":
@@ -77,8 +93,8 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 
 
-AnyRoute = Topic | Service
-KINDS: Final[dict[str, type[AnyRoute]]] = {"topics": Topic, "services": Service}
+AnyRoute = Topic | Service | Action
+KINDS: Final[dict[str, type[AnyRoute]]] = {"topics": Topic, "services": Service, "actions": Action}
 
 
 def parse(text: str, where: str) -> tuple[AnyRoute, ...]:

@@ -11,7 +11,7 @@ from vertebra.service import ServiceSettings
 
 
 class Ros2Settings(ServiceSettings):
-    """ROS 2 topics and services on the backbone."""
+    """ROS 2 topics, services and actions on the backbone."""
 
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_ROS2_")
 
