@@ -200,6 +200,34 @@ class CancelReply(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Response_
     goals_canceling: sequence[GoalInfo]
 
 
+@dataclass
+class ParameterValue(IdlStruct, typename="rcl_interfaces.msg.dds_.ParameterValue_"):
+    type: byte
+    bool_value: bool
+    integer_value: int64
+    double_value: float64
+    string_value: str
+    byte_array_value: sequence[byte]
+    bool_array_value: sequence[bool]
+    integer_array_value: sequence[int64]
+    double_array_value: sequence[float64]
+    string_array_value: sequence[str]
+
+
+@dataclass
+class GetParametersRequest(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Request_"):
+    guid: uint64
+    seq: int64
+    names: sequence[str]
+
+
+@dataclass
+class GetParametersReply(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Response_"):
+    guid: uint64
+    seq: int64
+    values: sequence[ParameterValue]
+
+
 class Raw:
     """A sample as its bytes."""
 
@@ -441,6 +469,22 @@ def count_up(peer: Peer) -> None:
             results.write(GetResultReply(one.guid, one.seq, status, Result(numbers)))
 
 
+def have_parameters(peer: Peer) -> None:
+    settings = qos("serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.0.2;")
+    name = "lab/camera/get_parameters"
+    reader = peer.read(f"rq/{name}Request", GetParametersRequest, settings)
+    writer = peer.write(f"rr/{name}Reply", GetParametersReply, settings)
+    say("ready")
+    while not peer.done.wait(0.001):
+        for request in peer.take(reader):
+            values = [
+                ParameterValue(4, False, 0, 0.0, f"of {name}", [], [True, False], [], [1.5], ["a"])
+                for name in request.names
+            ]
+            hold(writer, reader)
+            writer.write(GetParametersReply(request.guid, request.seq, values))
+
+
 def ask_sum(peer: Peer, count: int) -> None:
     settings = qos(f"clientid=f.2.3.4.5.6.7.8.9.a.b.c.0.0.0.1;typehash={ADD_HASH};")
     writer = peer.write("rq/fleet_sumRequest", AddRequest, settings)
@@ -516,6 +560,8 @@ def main() -> None:
         serve_sum(peer, as_fast_dds=True)
     elif role == "ask_sum":
         ask_sum(peer, int(arguments[0]))
+    elif role == "have_parameters":
+        have_parameters(peer)
     elif role == "count_up":
         count_up(peer)
     elif role == "watch":

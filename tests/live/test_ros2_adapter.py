@@ -391,6 +391,16 @@ async def test_ros_service_is_called_by_its_key(lab: Lab) -> None:
         assert await lab.call("ros2/add_two_ints", {"a": 1}) == {"sum": 1}
 
 
+async def test_parameters_of_a_node_are_read(lab: Lab) -> None:
+    async with peer(lab, "have_parameters") as node:
+        await node.until("ready")
+        reply = await lab.call("ros2/lab/camera/get_parameters", {"names": ["rate"]})
+    (value,) = reply["values"]
+    assert value["string_value"] == "of rate"
+    assert value["bool_array_value"] == [True, False]
+    assert value["double_array_value"] == [1.5]
+
+
 async def test_many_calls_at_once_get_their_own_answers(lab: Lab) -> None:
     async with peer(lab, "serve_sum") as server:
         await server.until("ready")
@@ -486,7 +496,9 @@ async def test_action_is_cancelled(lab: Lab) -> None:
 
 
 async def test_goal_that_is_refused_or_no_goal_says_so(lab: Lab) -> None:
-    with pytest.raises(RemoteError, match="nobody offers the ROS action /fibonacci"):
+    with pytest.raises(
+        RemoteError, match="nobody offers the ROS service /fibonacci/_action/send_goal"
+    ):
         await lab.call("robot/count/goal", {"order": 6})
     async with peer(lab, "count_up") as server:
         await server.until("ready")

@@ -14,7 +14,7 @@ from typing import Any, Final
 import msgspec
 
 from vertebra.bus import Reply, Request
-from vertebra.errors import CommandRefusedError, NotConnectedError
+from vertebra.errors import CommandRefusedError
 from vertebra_ros2.carried import Kit
 from vertebra_ros2.routes import Action, Topic
 from vertebra_ros2.services import JSON, Clients
@@ -89,8 +89,6 @@ class InboundAction:
             encoding=JSON,
             timeout_s=request.timeout_s,
         )
-        if self._kit.transport.graph.service(name) is None:
-            raise NotConnectedError(f"nobody offers the ROS action {self._route.ros}")
         return json.loads((await self._clients.call(name, "", asked)).payload)
 
     async def close(self) -> None:

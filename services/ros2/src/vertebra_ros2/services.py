@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -18,11 +19,14 @@ from vertebra.errors import (
 from vertebra.messages import Array
 from vertebra.ros2.driver import Client
 from vertebra.ros2.graph import OTHER_MIDDLEWARE
+from vertebra.ros2.graph import Service as OfferedService
 from vertebra_ros2.carried import Kit
 from vertebra_ros2.routes import Service
 from vertebra_ros2.topics import CDR_ENCODING
 
 JSON: Final = "application/json"
+FIND_WITHIN_S: Final = 2.0
+"""So long a call waits for a service that is not there yet."""
 _REFUSAL: Final = {"success": "bool", "message": "string"}
 
 
@@ -32,6 +36,8 @@ class Clients:
     def __init__(self, kit: Kit) -> None:
         self._kit = kit
         self._clients: dict[tuple[str, str], Client] = {}
+        self._changed = asyncio.Event()
+        kit.transport.on_graph(self._changed.set)
 
     async def call(self, name: str, type_name: str, request: Request) -> Reply:
         """Call a ROS service; the reply has the form of the request.
@@ -44,12 +50,10 @@ class Clients:
             NotConnectedError: Nobody offers it, or not so that we can call it.
             DeadlineError: No answer in time.
         """
-        offered = self._kit.transport.graph.service(name)
-        if offered is not None and offered.problem:
+        offered = await self._find(name, min(FIND_WITHIN_S, request.timeout_s))
+        if offered.problem:
             raise NotConnectedError(f"the ROS service {name}: {offered.problem}")
-        type_name = type_name or (offered.type if offered is not None else "")
-        if not type_name:
-            raise NotConnectedError(f"nobody offers the ROS service {name}")
+        type_name = type_name or offered.type
         cdr = self._kit.cdr
         is_raw = request.encoding.startswith(CDR_ENCODING)
         payload = request.payload
@@ -63,6 +67,20 @@ class Clients:
         if is_raw:
             return Reply(payload=answer, encoding=f"{CDR_ENCODING};{type_name}_Response")
         return Reply(payload=to_json(cdr.decode(answer, f"{type_name}_Response")), encoding=JSON)
+
+    async def _find(self, name: str, timeout_s: float) -> OfferedService:
+        """Return a service, once it has been discovered."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while (offered := self._kit.transport.graph.service(name)) is None:
+                    self._changed.clear()
+                    await self._changed.wait()
+                return offered
+        except TimeoutError as error:
+            raise NotConnectedError(
+                f"nobody offers the ROS service {name}; start its node, and look whether "
+                "'vertebra ros2 services' lists it"
+            ) from error
 
     def _request(self, type_name: str, request: Request) -> bytes:
         try:
