@@ -11,7 +11,7 @@ import pytest
 
 from .fleet import ROOT, Fleet, run
 
-SERVICES: Final = ("face_tracking", "gateway", "router", "simulator", "yarp")
+SERVICES: Final = ("face_tracking", "gateway", "ros2", "router", "simulator", "yarp")
 OVERLAYS: Final = tuple(
     f"deploy/{file.name}" for file in sorted(ROOT.glob("deploy/compose.*.yaml"))
 )

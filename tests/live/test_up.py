@@ -22,7 +22,7 @@ from vertebra.testing.ports import free_tcp_port
 ROOT: Final = Path(__file__).parents[2]
 READY_WITHIN_S: Final = 10.0
 STOPPED_WITHIN_S: Final = 10.0
-SERVICES: Final = {"router", "yarp", "simulator", "face_tracking", "gateway"}
+SERVICES: Final = {"router", "yarp", "ros2", "simulator", "face_tracking", "gateway"}
 
 
 class Up:
