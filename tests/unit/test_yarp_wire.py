@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from vertebra.errors import DecodeError, EncodeError, NameMappingError
 from vertebra.yarp.bottle import Value, Vocab, encode
 from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.mjpeg import STREAM_HEAD, part
 from vertebra.yarp.names import check_name
 from vertebra.yarp.receiver import CallReply, Event, Greeting, Message, Number, Receiver
 from vertebra.yarp.wire import (
     ACK,
     FAST_TCP,
+    MJPEG,
     NAME_SER,
     TCP,
     TEXT,
@@ -194,6 +196,17 @@ def test_messages_of_all_sizes_arrive_in_any_pieces(
     raw = HELLO + b"".join(message(payload, envelope) for payload in sent)
     _, *got = plain(feed(Receiver(LIMITS), raw, step))
     assert got == [(f"D {envelope}" if envelope else "D", payload) for payload in sent]
+
+
+@given(
+    sizes=st.lists(st.integers(2, 290_000), min_size=1, max_size=3),
+    step=st.sampled_from([3333, 65536, 1 << 20]),
+)
+def test_jpegs_of_all_sizes_arrive_in_any_pieces(sizes: list[int], step: int) -> None:
+    sent = [b"\xff\xd8" + bytes([number]) * (size - 2) for number, size in enumerate(sizes)]
+    raw = STREAM_HEAD + b"".join(b"".join(part(jpeg, "")) for jpeg in sent)
+    _, *got = plain(feed(Receiver(LIMITS, MJPEG), raw, step))
+    assert got == [("D", jpeg) for jpeg in sent]
 
 
 def test_the_envelope_is_what_follows_the_letter() -> None:

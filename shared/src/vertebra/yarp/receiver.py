@@ -247,17 +247,9 @@ class Receiver:
         return bytes(self._view[begin : begin + length]).partition(b"\0")[0]
 
     def _binary(self) -> Event | None:
-        large = self._large
-        if large is not None:
-            if self._filled < len(large):
-                return None
-            if self._filled < self._announced:
-                self._large = bytearray(min(_GROWTH * self._filled, self._announced))
-                self._large[: self._filled] = large
-                return None
-            self._large = None
-            self._proven = max(self._proven, self._filled)
-            return parse_message(large)
+        if self._large is not None:
+            large = self._take_large(self._large)
+            return None if large is None else parse_message(large)
         scratch, begin = self._scratch, self._begin
         have = self._end - begin
         if have < 8:
@@ -294,6 +286,18 @@ class Receiver:
         self._filled = self._end - start
         self._large[: self._filled] = self._view[start : self._end]
         self._begin = self._end = 0
+
+    def _take_large(self, large: bytearray) -> bytearray | None:
+        """Return the large message when all of it has come; until then its buffer grows."""
+        if self._filled < len(large):
+            return None
+        if self._filled < self._announced:
+            self._large = bytearray(min(_GROWTH * self._filled, self._announced))
+            self._large[: self._filled] = large
+            return None
+        self._large = None
+        self._proven = max(self._proven, self._filled)
+        return large
 
     def _line(self) -> str | None:
         end = self._scratch.find(b"\n", self._begin, self._end)
@@ -416,12 +420,8 @@ class Receiver:
 
     def _take(self, size: int) -> bytes | bytearray | None:
         """Return the next `size` bytes when all have come; large ones get a buffer of their own."""
-        large = self._large
-        if large is not None:
-            if self._filled < size:
-                return None
-            self._large = None
-            return large
+        if self._large is not None:
+            return self._take_large(self._large)
         end = self._begin + size
         if end <= self._end:
             raw = bytes(self._view[self._begin : end])
