@@ -14,7 +14,7 @@ import pytest
 from .fleet import Fleet
 from .watcher import CAMERA, FACES, Watcher, watching
 
-SERVICES: Final = ("face_tracking", "gateway", "ros2", "router", "simulator", "yarp")
+SERVICES: Final = ("face_tracking", "gateway", "router", "simulator", "yarp")
 RECOVERED_WITHIN_S: Final = 5.0
 FIRST_WITHIN_S: Final = 15.0
 CUT_OFF_S: Final = 4.0
