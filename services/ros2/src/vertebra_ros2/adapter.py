@@ -12,7 +12,7 @@ from vertebra.bus import Closeable, Reply, Request
 from vertebra.errors import CodecError, ConfigError
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import Transport
-from vertebra.ros2.driver_dds import dds_driver
+from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
 from vertebra_ros2 import routes
@@ -33,14 +33,14 @@ async def serve(context: Context[Ros2Settings]) -> None:
     """Carry routes until cancelled."""
     settings = context.settings
     types = await asyncio.to_thread(Types.standard, *settings.types)
-    async with dds_driver(
+    part = Participation(
         domain_id=settings.domain_id,
         node=settings.node,
         namespace=settings.namespace,
-        types=types,
         interface="" if settings.interface == "auto" else settings.interface,
         peers=settings.peers,
-    ) as transport:
+    )
+    async with open_driver(settings.driver, part, types) as transport:
         adapter = Adapter(context, transport, types)
         try:
             await adapter.carry(await asyncio.to_thread(routes.read, settings.routes))

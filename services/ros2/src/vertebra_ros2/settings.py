@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
+from vertebra.ros2.drivers import DriverName
 from vertebra.service import ServiceSettings
 
 
@@ -15,6 +16,9 @@ class Ros2Settings(ServiceSettings):
 
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_ROS2_")
 
+    driver: DriverName = Field(
+        "dds", description="'dds' is a DDS participant of our own and needs no ROS."
+    )
     domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
     node: str = Field("vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_]\w*$")
     namespace: str = Field("/", description="Namespace of our ROS node.", pattern="^/")

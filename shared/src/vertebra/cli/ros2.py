@@ -9,9 +9,10 @@ import os
 import signal
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from vertebra.errors import ConfigError
+from vertebra.ros2.drivers import DriverName
 from vertebra.service.logs import configure_logs
 
 
@@ -59,6 +60,9 @@ def _map(text: str) -> dict[str, Any]:
 
 
 def _set_run(parser: argparse.ArgumentParser, tool: str) -> None:
+    parser.add_argument(
+        "--driver", choices=get_args(DriverName), default="dds", help="default: %(default)s"
+    )
     parser.add_argument(
         "--domain", type=int, default=None, metavar="N", help="default: ROS_DOMAIN_ID, or 0"
     )

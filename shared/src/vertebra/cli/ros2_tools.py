@@ -14,7 +14,8 @@ from vertebra.errors import CodecError, ConfigError, NotConnectedError
 from vertebra.messages import Native
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver_dds import DdsTransport, dds_driver
+from vertebra.ros2.driver import Transport
+from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.graph import Endpoint
 from vertebra.ros2.names import check_name, check_type
 from vertebra.ros2.qos import Qos, for_reader
@@ -28,7 +29,7 @@ T = TypeVar("T")
 class Session:
     """Our participant, and what reads and writes its messages."""
 
-    dds: DdsTransport
+    transport: Transport
     types: Types
     cdr: Cdr
     arguments: argparse.Namespace
@@ -43,19 +44,19 @@ async def run(tool: str, arguments: argparse.Namespace) -> int:
 @asynccontextmanager
 async def _session(arguments: argparse.Namespace) -> AsyncIterator[Session]:
     types = await asyncio.to_thread(Types.standard, *arguments.types)
-    async with dds_driver(
+    part = Participation(
         domain_id=arguments.domain,
         node="vertebra_tool",
-        types=types,
         interface="" if arguments.interface == "auto" else arguments.interface,
         peers=tuple(arguments.peer),
-    ) as dds:
-        yield Session(dds, types, Cdr(types), arguments)
+    )
+    async with open_driver(arguments.driver, part, types) as transport:
+        yield Session(transport, types, Cdr(types), arguments)
 
 
 async def _topics(session: Session) -> int:
     await asyncio.sleep(session.arguments.wait)  # nobody tells when all have been found
-    graph = session.dds.graph
+    graph = session.transport.graph
     rows = [("TOPIC", "TYPE", "PUBLISHERS", "SUBSCRIBERS")]
     rows += [
         (name, " ".join(sorted(types)), _nodes(session, graph.writers(name)),
@@ -67,13 +68,13 @@ async def _topics(session: Session) -> int:
 
 
 def _nodes(session: Session, endpoints: list[Endpoint]) -> str:
-    names = (session.dds.graph.node_of(one) or "?" for one in endpoints)
+    names = (session.transport.graph.node_of(one) or "?" for one in endpoints)
     return " ".join(sorted(names)) or "-"
 
 
 async def _services(session: Session) -> int:
     await asyncio.sleep(session.arguments.wait)
-    services = session.dds.graph.services()
+    services = session.transport.graph.services()
     rows = [("SERVICE", "TYPE", "")]
     rows += [(name, one.type or "?", one.problem) for name, one in services.items()]
     print(table(rows))
@@ -85,7 +86,7 @@ async def _actions(session: Session) -> int:
     rows = [("ACTION", "TYPE", "")]
     rows += [
         (name.removesuffix(_ACTION), one.type.removesuffix("_SendGoal"), one.problem)
-        for name, one in session.dds.graph.services().items()
+        for name, one in session.transport.graph.services().items()
         if name.endswith(_ACTION)
     ]
     print(table(rows))
@@ -94,12 +95,12 @@ async def _actions(session: Session) -> int:
 
 async def _echo(session: Session) -> int:
     name, left = check_name(session.arguments.name), session.arguments.n
-    graph = session.dds.graph
+    graph = session.transport.graph
     writers = await _until(session, lambda: graph.writers(name))
     type_name = session.arguments.type or writers[0].type
     session.types.definition(type_name)
     payloads: asyncio.Queue[bytes] = asyncio.Queue()
-    reader = session.dds.reader(
+    reader = session.transport.reader(
         name,
         type_name,
         for_reader((one.qos for one in writers), _ECHO_DEPTH),
@@ -128,7 +129,7 @@ async def _pub(session: Session) -> int:
     type_name = check_type(arguments.type)
     payload = session.cdr.encode(arguments.fields, type_name)
     name = check_name(arguments.name)
-    writer = session.dds.writer(name, type_name, Qos(durability="transient_local", depth=1))
+    writer = session.transport.writer(name, type_name, Qos(durability="transient_local", depth=1))
     if arguments.rate is None:
         try:
             async with asyncio.timeout(arguments.wait):
@@ -148,7 +149,7 @@ async def _pub(session: Session) -> int:
 async def _until(session: Session, find: Callable[[], T | None]) -> T:
     """Return what `find` finds in the graph, when it is there."""
     changed = asyncio.Event()
-    session.dds.on_graph(changed.set)
+    session.transport.on_graph(changed.set)
     while not (found := find()):
         changed.clear()
         await changed.wait()
@@ -160,7 +161,7 @@ async def _call(session: Session) -> int:
     name = check_name(arguments.name)
     type_name = check_type(arguments.type) if arguments.type else await _type_of(session, name)
     payload = session.cdr.encode(arguments.fields, f"{type_name}_Request")
-    client = session.dds.client(name, type_name)
+    client = session.transport.client(name, type_name)
     answer = await client.call(payload, timeout_s=arguments.timeout)
     print(_text(session.cdr.decode(answer, f"{type_name}_Response")))
     client.close()
@@ -170,7 +171,7 @@ async def _call(session: Session) -> int:
 async def _type_of(session: Session, name: str) -> str:
     try:
         async with asyncio.timeout(session.arguments.wait):
-            service = await _until(session, lambda: session.dds.graph.service(name))
+            service = await _until(session, lambda: session.transport.graph.service(name))
     except TimeoutError as error:
         raise NotConnectedError(f"nobody offers the ROS service {name}") from error
     if service.problem:

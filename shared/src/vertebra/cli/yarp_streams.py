@@ -165,18 +165,21 @@ async def _open(name: str, names: NameClient, on_data: OnData | None = None) -> 
 async def _lines_of_stdin() -> AsyncIterator[str]:
     """Yield lines until the end of standard input, be it a file, a pipe or a terminal."""
     loop = asyncio.get_running_loop()
-    lines: asyncio.Queue[str | None] = asyncio.Queue(_READ_AHEAD_LINES)
+    lines: asyncio.Queue[str | None] = asyncio.Queue()
+    room = threading.Semaphore(_READ_AHEAD_LINES)
 
     def pump() -> None:
         # In a thread: files cannot be waited for. A daemon: nothing ends the read of a terminal.
         for line in _split_lines():
+            room.acquire()
             try:
-                asyncio.run_coroutine_threadsafe(lines.put(line), loop).result()
-            except (RuntimeError, asyncio.CancelledError):  # the command has ended
+                loop.call_soon_threadsafe(lines.put_nowait, line)
+            except RuntimeError:  # the command has ended
                 return
 
     threading.Thread(target=pump, name="stdin", daemon=True).start()
     while (line := await lines.get()) is not None:
+        room.release()
         if line.strip():
             yield line
 

@@ -52,6 +52,18 @@ class Writer(Closeable, Protocol):
         """Send a payload; raise `TransportError` if the driver refuses it."""
         ...
 
+    async def matched(self) -> None:
+        """Wait until somebody reads the topic."""
+        ...
+
+    async def delivered(self, timeout_s: float) -> None:
+        """Wait until all who read the topic reliably have what was written.
+
+        Raises:
+            DeadlineError: Somebody has not got it in time.
+        """
+        ...
+
 
 class Client(Closeable, Protocol):
     """Our side of a service that others offer."""

@@ -32,6 +32,7 @@ from vertebra.ros2.driver import OnPayload, OnRequest
 from vertebra.ros2.driver_dds_participant import Input, Participant, delete, write
 from vertebra.ros2.driver_dds_services import ServiceClient, ServiceServer
 from vertebra.ros2.driver_dds_types import Raw, configuration, mismatch_of, ros_qos, user_data_of
+from vertebra.ros2.drivers import Participation
 from vertebra.ros2.graph import Graph, endpoint_of
 from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name
 from vertebra.ros2.qos import LATCHED, Qos
@@ -45,13 +46,13 @@ _PARTICIPANT_BYTES: Final = 12
 class DdsTransport:
     """One participant; see `driver.Transport`. Open it with `dds_driver`."""
 
-    def __init__(self, *, domain_id: int, node: str, namespace: str, types: Types) -> None:
+    def __init__(self, part: Participation, types: Types) -> None:
         self.graph = Graph()
         self._cdr = Cdr(types)
-        self._node = {"node_namespace": namespace, "node_name": node}
+        self._node = {"node_namespace": part.namespace, "node_name": part.node}
         self._changed: list[Callable[[], None]] = []
         self._announcing = True
-        self._dds = Participant(domain_id, types, self._announce_soon)
+        self._dds = Participant(part.domain_id, types, self._announce_soon)
         self._announcer = self._dds.make_writer(DISCOVERY_TOPIC, DISCOVERY_TYPE, LATCHED)
         self._announce()
         self._follow_graph()
@@ -237,37 +238,21 @@ class TopicWriter:
 
 
 @asynccontextmanager
-async def dds_driver(
-    *,
-    domain_id: int,
-    node: str,
-    types: Types,
-    namespace: str = "/",
-    interface: str = "",
-    peers: tuple[str, ...] = (),
-) -> AsyncIterator[DdsTransport]:
-    """Be a participant while the block runs.
-
-    Args:
-        domain_id: What ROS_DOMAIN_ID is to ROS.
-        node: Name of our node.
-        types: What types are made of.
-        namespace: Of our node.
-        interface: Network interface; if this and `peers` are empty, CYCLONEDDS_URI says all.
-        peers: Addresses of hosts to look for without multicast.
+async def dds_driver(part: Participation, types: Types) -> AsyncIterator[DdsTransport]:
+    """Be a participant while the block runs; without an interface or peers CYCLONEDDS_URI says all.
 
     Raises:
         TransportError: DDS cannot start, for example because there is no such interface.
     """
     domain: Any = None
     try:
-        if interface or peers:
-            domain = Domain(domain_id, configuration(interface, peers))
-        transport = DdsTransport(domain_id=domain_id, node=node, namespace=namespace, types=types)
+        if part.interface or part.peers:
+            domain = Domain(part.domain_id, configuration(part.interface, part.peers))
+        transport = DdsTransport(part, types)
     except DDSException as error:
-        used = interface or os.environ.get("CYCLONEDDS_URI", "that the system gives")
+        used = part.interface or os.environ.get("CYCLONEDDS_URI", "that the system gives")
         raise TransportError(
-            f"DDS does not start in domain {domain_id} on the interface {used}: {error}; "
+            f"DDS does not start in domain {part.domain_id} on the interface {used}: {error}; "
             "a domain is 0 to 232, the interfaces are listed by 'ip addr'"
         ) from error
     try:

@@ -1,0 +1,49 @@
+"""Which driver: each is imported only if it is chosen, for no library of them is always there."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Literal
+
+from msgspec import Struct
+
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.driver import Transport
+
+DriverName = Literal["dds"]
+
+
+class Participation(Struct, frozen=True, kw_only=True):
+    """As which node we take part in which ROS graph.
+
+    Attributes:
+        domain_id: What ROS_DOMAIN_ID is to ROS.
+        node: Name of our node.
+        namespace: Of our node.
+        interface: Network interface; if this and `peers` are empty, the driver's own way decides.
+        peers: Addresses of hosts to look for without multicast.
+    """
+
+    domain_id: int = 0
+    node: str = "vertebra"
+    namespace: str = "/"
+    interface: str = ""
+    peers: tuple[str, ...] = ()
+
+
+@asynccontextmanager
+async def open_driver(
+    driver: DriverName, part: Participation, types: Types
+) -> AsyncIterator[Transport]:
+    """Be a node while the block runs.
+
+    Raises:
+        ConfigError: The library of this driver is not here.
+        TransportError: It cannot start, for example because there is no such interface.
+    """
+    if driver == "dds":
+        from vertebra.ros2.driver_dds import dds_driver  # noqa: PLC0415 - only if chosen
+
+        async with dds_driver(part, types) as transport:
+            yield transport
