@@ -36,7 +36,7 @@ WHERE: Final = {
         library: ["services/*/driver*.py"]
         for library in ("aiomqtt", "paho", "rclpy", "rospy", "yarp", "zmq")
     },
-    "cyclonedds": ["shared/src/vertebra/ros2/driver_dds*.py"],
+    "cyclonedds": ["shared/src/vertebra/ros2/dds/*.py"],
     "rosbags": ["shared/src/vertebra/ros2/definitions.py"],
     # pictures and numbers
     "cv2": ["services/camera/*/driver_opencv.py", "services/face_tracking/*"],

@@ -43,7 +43,7 @@ async def open_driver(
         TransportError: It cannot start, for example because there is no such interface.
     """
     if driver == "dds":
-        from vertebra.ros2.driver_dds import dds_driver  # noqa: PLC0415 - only if chosen
+        from vertebra.ros2.dds.driver import dds_driver  # noqa: PLC0415 - only if chosen
 
         async with dds_driver(part, types) as transport:
             yield transport

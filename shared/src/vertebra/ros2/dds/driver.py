@@ -1,4 +1,4 @@
-"""The driver `dds`: a ROS 2 node made of the `cyclonedds` wheel, no ROS on the machine.
+"""A ROS 2 node on DDS: its topics, and what it sees of others.
 
 Payloads pass through undecoded. What rmw_cyclonedds puts around them is made here: names and QoS,
 USER_DATA with the hash of the type, and `ros_discovery_info`, by which others know our node.
@@ -27,11 +27,11 @@ from cyclonedds.util import duration
 
 from vertebra.errors import DeadlineError, NotConnectedError, TransportError
 from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.dds.announced import Raw, configuration, mismatch_of, ros_qos, user_data_of
+from vertebra.ros2.dds.participant import Input, Participant, delete, write
+from vertebra.ros2.dds.services import ServiceClient, ServiceServer
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import OnPayload, OnRequest
-from vertebra.ros2.driver_dds_participant import Input, Participant, delete, write
-from vertebra.ros2.driver_dds_services import ServiceClient, ServiceServer
-from vertebra.ros2.driver_dds_types import Raw, configuration, mismatch_of, ros_qos, user_data_of
 from vertebra.ros2.drivers import Participation
 from vertebra.ros2.graph import Graph, endpoint_of
 from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name

@@ -1,4 +1,4 @@
-"""What DDS is told of types and QoS, for the driver `dds`."""
+"""What DDS is told of types and QoS."""
 
 from __future__ import annotations
 

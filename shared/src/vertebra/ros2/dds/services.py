@@ -1,4 +1,4 @@
-"""ROS services on DDS, both sides, as rmw_cyclonedds has them; for the driver `dds`.
+"""ROS services on DDS, both sides, as rmw_cyclonedds has them.
 
 A service is two topics. In front of each request, and of its reply, are 8 bytes that name the
 client and 8 that number the request; every reply reaches every client.
@@ -16,9 +16,9 @@ from typing import Final
 
 from vertebra.errors import DeadlineError, DecodeError, NotConnectedError
 from vertebra.ros2.cdr import HEADER, HEADER_BYTES
+from vertebra.ros2.dds.announced import Raw
+from vertebra.ros2.dds.participant import Input, Participant, write
 from vertebra.ros2.driver import OnRequest
-from vertebra.ros2.driver_dds_participant import Input, Participant, write
-from vertebra.ros2.driver_dds_types import Raw
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.names import dds_name
 from vertebra.ros2.qos import Qos

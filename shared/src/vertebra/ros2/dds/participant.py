@@ -1,4 +1,4 @@
-"""A DDS participant and the thread that waits for it, for the driver `dds`.
+"""A DDS participant and the thread that waits for it.
 
 The thread takes what came and hands it over to the event loop, where everything else happens. It
 alone touches readers and the wait set, so that nothing is deleted while it is in use.
@@ -34,8 +34,8 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from vertebra.errors import CodecError, CodecNotFoundError, TransportError
+from vertebra.ros2.dds.announced import RawTypes, dds_qos
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver_dds_types import RawTypes, dds_qos
 from vertebra.ros2.qos import Qos
 
 log = logging.getLogger(__name__)
