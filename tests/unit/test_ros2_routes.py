@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
-from vertebra_ros2.routes import Action, Service, Topic, parse, read
+from vertebra.service.routes import parse_routes, read_routes
+from vertebra_ros2.routes import KINDS, Action, Service, Topic
 
 SHIPPED = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
 
@@ -22,7 +23,7 @@ services:
 actions:
   - {ros: /navigate, key: base/navigate}
 """
-    assert parse(text, "routes.yaml") == (
+    assert parse_routes(text, "routes.yaml", KINDS) == (
         Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
         Topic(
             ros="/words",
@@ -38,20 +39,20 @@ actions:
 
 @pytest.mark.parametrize("text", ["", "# nothing", "topics:\nservices: []", "topics: []"])
 def test_nothing_is_no_route(text: str) -> None:
-    assert parse(text, "routes.yaml") == ()
+    assert parse_routes(text, "routes.yaml", KINDS) == ()
 
 
 def test_shipped_file_is_right() -> None:
-    assert read(SHIPPED) == ()
+    assert read_routes(SHIPPED, KINDS) == ()
 
 
 def test_no_file_is_no_route() -> None:
-    assert read(None) == ()
+    assert read_routes(None, KINDS) == ()
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
-        read(tmp_path / "nowhere.yaml")
+        read_routes(tmp_path / "nowhere.yaml", KINDS)
 
 
 def test_topic_may_go_both_ways() -> None:
@@ -62,7 +63,7 @@ topics:
 services:
   - {ros: /a, key: a}
 """
-    assert len(parse(text, "routes.yaml")) == 3
+    assert len(parse_routes(text, "routes.yaml", KINDS)) == 3
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ services:
 def test_bad_line_is_named(line: str, told: str) -> None:
     text = f"topics:\n  - {{ros: /b, key: b}}\n  - {line}"
     with pytest.raises(ConfigError, match=f"routes.yaml:3: .*{told}"):
-        parse(text, "routes.yaml")
+        parse_routes(text, "routes.yaml", KINDS)
 
 
 @pytest.mark.parametrize(
@@ -101,4 +102,4 @@ def test_bad_line_is_named(line: str, told: str) -> None:
 )
 def test_file_of_another_form_is_refused(text: str, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        parse(text, "routes.yaml")
+        parse_routes(text, "routes.yaml", KINDS)

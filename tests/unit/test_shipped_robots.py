@@ -8,8 +8,18 @@ from typing import Final
 
 import pytest
 
+from vertebra.service.routes import read_routes
 from vertebra_gateway.profile import Part, Profile, load_profiles
-from vertebra_yarp.routes import Routes, Stream, read_routes
+from vertebra_yarp.routes import (
+    KINDS,
+    AnyRoute,
+    ControlBoard,
+    FaceRoute,
+    GazeRoute,
+    SpeakerRoute,
+    Stream,
+    YarpRoute,
+)
 
 DEPLOY: Final = Path(__file__).parents[2] / "deploy"
 SHIPPED: Final = {
@@ -18,19 +28,20 @@ SHIPPED: Final = {
     "r1": ("robots/lab/r1.yaml", "yarp/r1.yaml"),
     "vizzy": ("robots/lab/vizzy.yaml", "yarp/vizzy.yaml"),
 }
-ROUTES_OF: Final = {
-    "control_board": "control_boards",
-    "gaze": "gazes",
-    "face": "faces",
-    "speaker": "speakers",
+ROUTES_OF: Final[dict[str, type[YarpRoute]]] = {
+    "control_board": ControlBoard,
+    "gaze": GazeRoute,
+    "face": FaceRoute,
+    "speaker": SpeakerRoute,
 }
+Robot = tuple[Profile, tuple[AnyRoute, ...]]
 
 
 @pytest.fixture(params=SHIPPED)
-def robot(request: pytest.FixtureRequest) -> tuple[Profile, Routes]:
+def robot(request: pytest.FixtureRequest) -> Robot:
     profile, routes = SHIPPED[request.param]
     (loaded,) = load_profiles(DEPLOY / profile)
-    return loaded, read_routes(DEPLOY / routes)
+    return loaded, read_routes(DEPLOY / routes, KINDS)
 
 
 def test_every_file_that_is_shipped_is_tested_here() -> None:
@@ -38,23 +49,23 @@ def test_every_file_that_is_shipped_is_tested_here() -> None:
     assert {*DEPLOY.glob("robots/**/*.yaml"), *DEPLOY.glob("yarp/*.yaml")} == tested
 
 
-def test_every_part_has_its_route_and_every_route_its_part(robot: tuple[Profile, Routes]) -> None:
+def test_every_part_has_its_route_and_every_route_its_part(robot: Robot) -> None:
     profile, routes = robot
-    for kind, name in ROUTES_OF.items():
+    for kind, route_kind in ROUTES_OF.items():
         parts = {part.key for part in profile.parts if part.kind == kind}
-        assert parts == {route.key for route in getattr(routes, name)}, kind
+        assert parts == {route.key for route in routes if isinstance(route, route_kind)}, kind
 
 
-def test_what_is_read_is_carried(robot: tuple[Profile, Routes]) -> None:
+def test_what_is_read_is_carried(robot: Robot) -> None:
     profile, routes = robot
     carried = {route.key for route in routes if isinstance(route, Stream)}
-    carried |= {f"{route.key}/state" for route in routes.control_boards}
+    carried |= {f"{route.key}/state" for route in routes if isinstance(route, ControlBoard)}
     for resource in profile.resources:
         if resource.kind != "call" and not resource.key.endswith("/faces"):
             assert resource.key in carried
 
 
-def test_a_robot_fits_on_a_page(robot: tuple[Profile, Routes]) -> None:
+def test_a_robot_fits_on_a_page(robot: Robot) -> None:
     profile, _ = robot
     assert len(profile.parts) >= 4
     for profile_path, routes_path in SHIPPED.values():
@@ -62,7 +73,7 @@ def test_a_robot_fits_on_a_page(robot: tuple[Profile, Routes]) -> None:
             assert len((DEPLOY / path).read_text().splitlines()) <= 60
 
 
-def test_parts_offer_what_they_are_asked_for(robot: tuple[Profile, Routes]) -> None:
+def test_parts_offer_what_they_are_asked_for(robot: Robot) -> None:
     profile, _ = robot
     head = next(part for part in profile.parts if part.path == "head")
     assert head == Part(kind="control_board", path="head", key=head.key)

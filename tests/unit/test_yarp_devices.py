@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from vertebra.errors import CommandRefusedError, ConfigError, RemoteError
 from vertebra.messages import Array, AudioChunk, Imu
+from vertebra.service.routes import parse_routes
 from vertebra.yarp import from_text, to_text
 from vertebra.yarp.objects import Measurement, SensorData, Vector
 from vertebra_yarp import gaze, mapping
 from vertebra_yarp.devices import Express, say, sounds
 from vertebra_yarp.gaze import Cer, IKin, Look, LookAt, LookAtPixel
-from vertebra_yarp.routes import FaceRoute, GazeRoute, parse_routes
+from vertebra_yarp.routes import KINDS, FaceRoute, GazeRoute
 
 
 @pytest.mark.parametrize(
@@ -99,14 +100,14 @@ def test_faces_speak_icub_by_default_and_what_the_route_says_else() -> None:
 )
 def test_faults_in_routes_are_named_with_their_line(text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        parse_routes(text, "x")
+        parse_routes(text, "x", KINDS)
 
 
 def test_routes_of_devices_can_be_compared_and_kept_in_sets() -> None:
     text = "gazes:\n  - {yarp: /g, key: g}\nfaces:\n  - {yarp: /f, key: f}\n"
-    assert {*parse_routes(text, "x")} == {*parse_routes(text, "y")}
-    other = parse_routes(text.replace("key: f", "key: f, say: '{expression}'"), "z")
-    assert len({*parse_routes(text, "x")} | {*other}) == 3
+    assert {*parse_routes(text, "x", KINDS)} == {*parse_routes(text, "y", KINDS)}
+    other = parse_routes(text.replace("key: f", "key: f, say: '{expression}'"), "z", KINDS)
+    assert len({*parse_routes(text, "x", KINDS)} | {*other}) == 3
     assert GazeRoute(yarp="/g", key="g") in {*other}
 
 

@@ -7,29 +7,30 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
+from vertebra.service.routes import parse_routes, read_routes
 from vertebra.yarp import Dialect
 from vertebra_yarp.adapter import dialects
-from vertebra_yarp.routes import Call, ControlBoard, Routes, Stream, parse_routes, read_routes
+from vertebra_yarp.routes import KINDS, Call, ControlBoard, Stream
 from vertebra_yarp.settings import YarpSettings
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "yarp" / "routes.yaml"
 
 
 def test_shipped_routes_are_valid() -> None:
-    routes = read_routes(SHIPPED)
-    assert ControlBoard(yarp="/vizzy/head", key="vizzy/head") in routes.control_boards
-    assert Call(yarp="/vizzy/head/rpc:i", key="vizzy/head/rpc") in routes.calls
-    assert {stream.type for stream in routes.streams} == {"Image", "Imu", "auto"}
+    routes = read_routes(SHIPPED, KINDS)
+    assert ControlBoard(yarp="/vizzy/head", key="vizzy/head") in routes
+    assert Call(yarp="/vizzy/head/rpc:i", key="vizzy/head/rpc") in routes
+    assert {route.type for route in routes if isinstance(route, Stream)} == {"Image", "Imu", "auto"}
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "streams:\n", "streams: []\ncalls:\n"])
 def test_no_routes_are_routes_too(text: str) -> None:
-    assert parse_routes(text, "x") == Routes()
+    assert parse_routes(text, "x", KINDS) == ()
 
 
 def test_defaults() -> None:
-    routes = parse_routes("streams:\n  - {yarp: /a, key: a}\n", "x")
-    assert routes.streams == (
+    routes = parse_routes("streams:\n  - {yarp: /a, key: a}\n", "x", KINDS)
+    assert routes == (
         Stream(yarp="/a", key="a", type="auto", direction="inbound", delivery="latest", depth=1),
     )
 
@@ -54,12 +55,12 @@ def test_defaults() -> None:
 )
 def test_faults_are_named_with_their_line(text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        parse_routes(text, "x")
+        parse_routes(text, "x", KINDS)
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
-        read_routes(tmp_path / "nowhere.yaml")
+        read_routes(tmp_path / "nowhere.yaml", KINDS)
 
 
 def test_routes_and_settings_tell_the_dialect() -> None:
@@ -67,8 +68,9 @@ def test_routes_and_settings_tell_the_dialect() -> None:
         "streams:\n  - {yarp: /a, key: a, dialect: 4}\n  - {yarp: /b, key: b}\n"
         "control_boards:\n  - {yarp: /c, key: c, dialect: 3}\n",
         "x",
+        KINDS,
     )
     assert dialects(YarpSettings(), routes) == {"/a": Dialect.V4, "/c": Dialect.V3}
     assert dialects(YarpSettings(dialect="4"), routes)["/"] is Dialect.V4
     with pytest.raises(ConfigError, match="x:2"):
-        parse_routes("streams:\n  - {yarp: /a, key: a, dialect: 5}\n", "x")
+        parse_routes("streams:\n  - {yarp: /a, key: a, dialect: 5}\n", "x", KINDS)

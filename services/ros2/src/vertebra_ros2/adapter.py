@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from vertebra.bus import Closeable, Reply, Request
@@ -15,10 +14,10 @@ from vertebra.ros2.driver import Transport
 from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
-from vertebra_ros2 import routes
+from vertebra.service.routes import follow_routes, read_routes
 from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.carried import Carried, Kit
-from vertebra_ros2.routes import Action, AnyRoute, Topic
+from vertebra_ros2.routes import KINDS, Action, AnyRoute, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
@@ -43,13 +42,13 @@ async def serve(context: Context[Ros2Settings]) -> None:
     async with open_driver(settings.driver, part, types) as transport:
         adapter = Adapter(context, transport, types)
         try:
-            await adapter.carry(await asyncio.to_thread(routes.read, settings.routes))
+            await adapter.carry(read_routes(settings.routes, KINDS))
             context.ready()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(_end_with(transport))
                 tasks.create_task(adapter.follow_graph())
                 if settings.routes is not None:
-                    tasks.create_task(adapter.follow_file(settings.routes))
+                    tasks.create_task(follow_routes(context, settings.routes, KINDS, adapter.carry))
         finally:
             await adapter.close()
 
@@ -153,22 +152,6 @@ class Adapter:
 
     async def _call_mirrored(self, request: Request) -> Reply:
         return await self._clients.call(name_of(request.key), "", request)
-
-    async def follow_file(self, path: Path) -> None:
-        """Take over changes of the routes file; a faulty one is reported and changes nothing."""
-        seen_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
-        while True:
-            await asyncio.sleep(LOOK_EVERY_S)
-            try:
-                now_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
-                if now_ns == seen_ns:
-                    continue
-                seen_ns = now_ns
-                await self.carry(await asyncio.to_thread(routes.read, path))
-            except (OSError, ConfigError) as error:
-                self.context.report("routes", "warning", f"kept as they were: {error}")
-            else:
-                self.context.report("routes", "ok")
 
     async def close(self) -> None:
         """End all routes."""

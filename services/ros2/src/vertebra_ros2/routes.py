@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final, Literal
 
 from vertebra.errors import ConfigError
 from vertebra.keys import check_key
 from vertebra.ros2.names import check_name, check_type
-from vertebra.service.routes import Route, parse_routes, read_routes
+from vertebra.service.routes import Route
 
 Direction = Literal["inbound", "outbound"]
 
@@ -95,13 +94,3 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
 
 AnyRoute = Topic | Service | Action
 KINDS: Final[dict[str, type[AnyRoute]]] = {"topics": Topic, "services": Service, "actions": Action}
-
-
-def parse(text: str, where: str) -> tuple[AnyRoute, ...]:
-    """Return the routes in YAML text; raise `ConfigError`."""
-    return parse_routes(text, where, KINDS)
-
-
-def read(path: Path | None) -> tuple[AnyRoute, ...]:
-    """Return the routes in a YAML file, none if `path` is None; raise `ConfigError`."""
-    return read_routes(path, KINDS)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator
-from pathlib import Path
+from collections.abc import AsyncIterator, Sequence
 from typing import Any, Final
 
 import msgspec
 
 from vertebra.bus import Closeable, Reply, Request
-from vertebra.errors import ConfigError, TransportError
+from vertebra.errors import TransportError
 from vertebra.keys import map_name, unmap_name
 from vertebra.service import Context
+from vertebra.service.routes import follow_routes, read_routes
 from vertebra.yarp import Dialect, NameClient
 from vertebra_yarp.calls import InboundCall, OutboundCall, call_yarp
 from vertebra_yarp.carried import OWN_NAMES, Carried, Kit
@@ -24,15 +24,15 @@ from vertebra_yarp.driver import NativeDriver, Transport, name_service
 from vertebra_yarp.metrics import RouteMetrics
 from vertebra_yarp.part import Part
 from vertebra_yarp.routes import (
+    KINDS,
+    AnyRoute,
     Call,
     ControlBoard,
     FaceRoute,
     GazeRoute,
-    Route,
-    Routes,
+    OneWay,
     SpeakerRoute,
     Stream,
-    read_routes,
 )
 from vertebra_yarp.settings import YarpSettings
 from vertebra_yarp.streams import InboundStream, OutboundStream
@@ -47,7 +47,7 @@ LOOK_EVERY_S: Final = 1.0
 async def serve(context: Context[YarpSettings]) -> None:
     """Carry routes until cancelled."""
     settings = context.settings
-    routes = read_routes(settings.routes)
+    routes = read_routes(settings.routes, KINDS)
     async with (
         name_service(
             name_server=settings.name_server,
@@ -64,7 +64,7 @@ async def serve(context: Context[YarpSettings]) -> None:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(adapter.follow_names())
                 if settings.routes is not None:
-                    tasks.create_task(adapter.follow_file(settings.routes))
+                    tasks.create_task(follow_routes(context, settings.routes, KINDS, adapter.carry))
         finally:
             served.close()
             await adapter.close()
@@ -91,14 +91,14 @@ class Adapter:
         self.context = context
         self.transport = transport
         self._kit = Kit(context, transport)
-        self._explicit: dict[Route, Carried] = {}
+        self._explicit: dict[AnyRoute, Carried] = {}
         self._mirrored: dict[str, InboundStream] = {}
         self._served_mirror: Closeable | None = None
         context.metrics.register(RouteMetrics(self._kit.carried))
         if context.settings.automatic:
             self._served_mirror = context.bus.serve(f"{MIRROR_PREFIX}/**", self._call_mirrored)
 
-    async def carry(self, routes: Routes) -> None:
+    async def carry(self, routes: Sequence[AnyRoute]) -> None:
         """Carry exactly these explicit routes: those that stay are not touched."""
         wanted = set(routes)
         self.transport.names.dialects.told = dialects(self.context.settings, routes)
@@ -165,22 +165,6 @@ class Adapter:
         ]
         return sorted(rows, key=lambda row: (row["yarp"], row["key"]))
 
-    async def follow_file(self, path: Path) -> None:
-        """Take over changes of the routes file; a faulty one is reported and changes nothing."""
-        seen_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
-        while True:
-            await asyncio.sleep(LOOK_EVERY_S)
-            try:
-                now_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
-                if now_ns == seen_ns:
-                    continue
-                seen_ns = now_ns
-                await self.carry(await asyncio.to_thread(read_routes, path))
-            except (OSError, ConfigError) as error:
-                self.context.report("routes", "warning", f"kept as they were: {error}")
-            else:
-                self.context.report("routes", "ok")
-
     async def _call_mirrored(self, request: Request) -> Reply:
         name = unmap_name(MIRROR_PREFIX, request.key)
         caller = await self.transport.dial(name)
@@ -197,17 +181,17 @@ class Adapter:
             await carried.close()
 
 
-def dialects(settings: YarpSettings, routes: Routes) -> dict[str, Dialect]:
+def dialects(settings: YarpSettings, routes: Sequence[AnyRoute]) -> dict[str, Dialect]:
     """Return what settings and routes tell about the YARP generation of ports."""
     given = {"/": settings.dialect} | {
         route.yarp: str(route.dialect)
         for route in routes
-        if isinstance(route, Stream | Call | ControlBoard)
+        if isinstance(route, OneWay | ControlBoard)
     }
     return {name: Dialect[f"V{dialect}"] for name, dialect in given.items() if dialect != "auto"}
 
 
-def make(kit: Kit, route: Route) -> Carried:
+def make(kit: Kit, route: AnyRoute) -> Carried:
     """Return what carries a route."""
     match route:
         case ControlBoard():
@@ -226,7 +210,7 @@ def make(kit: Kit, route: Route) -> Carried:
             return InboundCall(kit, route) if inbound else OutboundCall(kit, route)
 
 
-def leaves_of(route: Route) -> tuple[str, ...]:
+def leaves_of(route: AnyRoute) -> tuple[str, ...]:
     """Return the YARP ports below the name of a route that it cares for."""
     match route:
         case ControlBoard():

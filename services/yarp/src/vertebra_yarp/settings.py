@@ -9,7 +9,8 @@ from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
 from vertebra.service import ServiceSettings
-from vertebra_yarp.routes import read_routes
+from vertebra.service.routes import read_routes
+from vertebra_yarp.routes import KINDS
 
 
 class YarpSettings(ServiceSettings):
@@ -48,4 +49,4 @@ class YarpSettings(ServiceSettings):
 
     def check(self) -> None:
         """See `ServiceSettings.check`."""
-        read_routes(self.routes)
+        read_routes(self.routes, KINDS)

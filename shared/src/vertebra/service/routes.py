@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 import yaml
 
 from vertebra.errors import ConfigError, VertebraError
+from vertebra.service.run import Context
+
+LOOK_EVERY_S: Final = 1.0
 
 
 class Route(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,3 +89,25 @@ def _items(
             raise ConfigError(f"{where}:{line}: {kind} is a list of routes")
         for node, item in zip(value_node.value, items, strict=True):
             yield kind, item, node.start_mark.line + 1
+
+
+async def follow_routes(
+    context: Context[Any],
+    path: Path,
+    kinds: Mapping[str, type[R]],
+    carry: Callable[[tuple[R, ...]], Awaitable[None]],
+) -> None:
+    """Let changes of a routes file be carried; a faulty one is reported and changes nothing."""
+    seen_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
+    while True:
+        await asyncio.sleep(LOOK_EVERY_S)
+        try:
+            now_ns = (await asyncio.to_thread(path.stat)).st_mtime_ns
+            if now_ns == seen_ns:
+                continue
+            seen_ns = now_ns
+            await carry(await asyncio.to_thread(read_routes, path, kinds))
+        except (OSError, ConfigError) as error:
+            context.report("routes", "warning", f"kept as they were: {error}")
+        else:
+            context.report("routes", "ok")
