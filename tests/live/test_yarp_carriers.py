@@ -6,7 +6,6 @@ import asyncio
 import json
 import os
 import socket
-from collections.abc import AsyncIterator
 
 import pytest
 
@@ -15,7 +14,6 @@ from vertebra.testing.bus_suite import eventually
 from vertebra.yarp import (
     Incoming,
     NameClient,
-    NameServer,
     PeerLimits,
     Port,
     Reader,
@@ -41,33 +39,10 @@ from vertebra.yarp.wire import (
 )
 from vertebra_pillow.yarp import YarpJpeg
 
+from .yarp_inbox import Inbox
+
 TIMEOUT_S = 5.0
 DATAGRAMS = ("udp", "mcast")
-
-
-@pytest.fixture
-async def server() -> AsyncIterator[NameServer]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server
-
-
-@pytest.fixture
-def names(server: NameServer) -> NameClient:
-    return server.client()
-
-
-class Inbox:
-    """Takes messages and lets a test wait for them."""
-
-    def __init__(self) -> None:
-        self.got: list[Incoming] = []
-
-    def __call__(self, incoming: Incoming) -> None:
-        self.got.append(incoming)
-
-    async def wait(self, count: int) -> list[Incoming]:
-        await eventually(lambda: len(self.got) >= count)
-        return self.got
 
 
 def message(payload: bytes, envelope: str = "") -> list[bytes]:

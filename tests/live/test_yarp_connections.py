@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import AsyncIterator
 
 import pytest
 
@@ -15,7 +14,6 @@ from vertebra.testing.ports import free_tcp_port
 from vertebra.yarp import (
     Incoming,
     NameClient,
-    NameServer,
     Port,
     PortNotFoundError,
     RpcClient,
@@ -33,12 +31,6 @@ from vertebra.yarp.connections import (
 )
 
 pytestmark = pytest.mark.live
-
-
-@pytest.fixture
-async def names() -> AsyncIterator[NameClient]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server.client()
 
 
 async def connections(names: NameClient) -> list[PortConnection]:

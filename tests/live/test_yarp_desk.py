@@ -12,7 +12,7 @@ from vertebra.bus import MemoryBus
 from vertebra.errors import RemoteError
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
-from vertebra.yarp import NameClient, NameServer, Port, objects
+from vertebra.yarp import NameClient, Port, objects
 from vertebra_gateway.app import make_app
 from vertebra_gateway.auth import Guard
 from vertebra_gateway.fleet import Fleet as Services
@@ -27,12 +27,6 @@ pytestmark = pytest.mark.live
 
 TOKEN = "0123456789abcdef"
 CONNECTIONS = "/api/yarp/connections"
-
-
-@pytest.fixture
-async def names() -> AsyncIterator[NameClient]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server.client()
 
 
 @pytest.fixture

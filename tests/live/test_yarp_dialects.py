@@ -6,7 +6,6 @@ import asyncio
 import json
 import logging
 from array import array
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -31,26 +30,13 @@ from vertebra.yarp import (
 )
 from vertebra.yarp.exchange import ask
 
+from .yarp_inbox import echo
+
 SESSIONS = Path(__file__).parents[1] / "conformance" / "yarp" / "sessions.json"
 PARTED: list[Value] = [1.5, Float32(0.5), [2.5, "x"]]
 """Differs in each tag between the dialects."""
 
 every_dialect = pytest.mark.parametrize("dialect", Dialect, ids=str)
-
-
-@pytest.fixture
-async def server() -> AsyncIterator[NameServer]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server
-
-
-@pytest.fixture
-def names(server: NameServer) -> NameClient:
-    return server.client()
-
-
-async def echo(incoming: Incoming) -> list[Value]:
-    return incoming.bottle()
 
 
 # --- asking a port ---

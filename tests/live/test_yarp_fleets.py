@@ -13,7 +13,7 @@ from vertebra.bus import MemoryBus, MemoryNetwork
 from vertebra.messages import Array, JointState, Tensor, Text
 from vertebra.service import run_service
 from vertebra.testing.bus_suite import eventually
-from vertebra.yarp import NameClient, NameServer, Port, encode
+from vertebra.yarp import NameClient, Port, encode
 from vertebra.yarp.connections import connections_of, survey
 from vertebra_simulator.adapter import serve as serve_simulator
 from vertebra_simulator.settings import SimulatorSettings
@@ -28,12 +28,6 @@ control_boards:
 streams:
   - {yarp: /words, key: lab/words, direction: outbound, delivery: queue, depth: 64}
 """
-
-
-@pytest.fixture
-async def names() -> AsyncIterator[NameClient]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server.client()
 
 
 @contextlib.asynccontextmanager

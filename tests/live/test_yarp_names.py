@@ -33,17 +33,6 @@ from vertebra.yarp.wire import ACK, TCP, greeting, yarp_number
 TIMEOUT_S = 5.0
 
 
-@pytest.fixture
-async def server() -> AsyncIterator[NameServer]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server
-
-
-@pytest.fixture
-def names(server: NameServer) -> NameClient:
-    return server.client()
-
-
 async def exchange(server: NameServer, sent: bytes, expected: bytes) -> bytes:
     """Send, and return as many bytes as are expected."""
     reader, writer = await asyncio.open_connection(server.contact.host, server.contact.tcp_port)

@@ -50,42 +50,11 @@ from vertebra.yarp.wire import (
     yarp_number,
 )
 
+from .yarp_inbox import Inbox, echo
+
 TIMEOUT_S = 5.0
 PEER = Path(__file__).parent / "yarp_peer.py"
 CARRIERS = ("tcp", "fast_tcp", "text", "text_ack")
-
-
-@pytest.fixture
-async def server() -> AsyncIterator[NameServer]:
-    async with await NameServer.start(tcp_port=0) as server:
-        yield server
-
-
-@pytest.fixture
-def names(server: NameServer) -> NameClient:
-    return server.client()
-
-
-class Inbox:
-    """Takes messages and lets a test wait for them."""
-
-    def __init__(self) -> None:
-        self.got: list[Incoming] = []
-
-    def __call__(self, incoming: Incoming) -> None:
-        self.got.append(incoming)
-
-    async def wait(self, count: int) -> list[Incoming]:
-        await eventually(lambda: len(self.got) >= count)
-        return self.got
-
-    @property
-    def bottles(self) -> list[list[Value]]:
-        return [incoming.bottle() for incoming in self.got]
-
-
-async def echo(incoming: Incoming) -> list[Value]:
-    return incoming.bottle()
 
 
 class Raw:

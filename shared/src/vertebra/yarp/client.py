@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Self
 
 from vertebra.errors import BusyError, DeadlineError, DecodeError, NotConnectedError
@@ -116,12 +115,7 @@ class RpcClient(Link):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def _ask(self, letter: str, values: Sequence[Value], timeout_s: float) -> list[Value]:

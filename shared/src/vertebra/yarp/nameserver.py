@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import logging
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self
 
 from vertebra.errors import TransportError, VertebraError
@@ -125,12 +124,7 @@ class NameServer:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def _be_found(self, interfaces: list[str], udp_port: int) -> None:

@@ -7,7 +7,6 @@ import logging
 import os
 import socket
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Final, Self
 
 from vertebra.errors import ConfigError, TransportError
@@ -216,12 +215,7 @@ class Port:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def _listen(self, bind_host: str, tcp_port: int) -> None:
