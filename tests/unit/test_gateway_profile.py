@@ -166,3 +166,53 @@ def test_a_profile_may_be_one_file(tmp_path: Path) -> None:
     (tmp_path / "r3.yaml").write_text(PARTS.replace("r2", "r3"))
     assert [profile.robot for profile in load_profiles(tmp_path / "r3.yaml")] == ["r3"]
     assert [profile.robot for profile in load_profiles(tmp_path)] == ["r2", "r3"]
+
+
+BASE = """
+robot: r2
+presence: "@vertebra/parts/r2/**"
+parts:
+  - {kind: control_board, path: head, key: r2/head}
+  - {kind: speaker, path: mouth, key: r2/mouth}
+  - {kind: base, path: wheels, key: r2/base}
+  - kind: action
+    path: wheels/dock
+    key: r2/base/dock
+    goal: {type: object, required: [dock], properties: {dock: {type: string}}}
+"""
+
+
+def test_an_action_takes_the_goals_that_the_profile_describes() -> None:
+    profile = parse_profile(BASE, "r2.yaml")
+    goal = profile.resource("wheels/dock/goal")
+    assert goal is not None
+    assert (goal.key, goal.http_method) == ("r2/base/dock/goal", "POST")
+    assert goal.input is not None
+    assert goal.input["required"] == ["dock"]
+    result = profile.resource("wheels/dock/result")
+    assert result is not None
+    assert result.timeout_s == 600
+    without = parse_profile(BASE[: BASE.index("    goal:")], "r2.yaml").resource("wheels/dock/goal")
+    assert without is not None
+    assert without.input == {"type": "object"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("kind: action", "kind: base", r"line 11: goal belongs to a part of kind action"),
+        ("{type: string}", "{type: text}", r"line 11: this is no JSON Schema"),
+    ],
+)
+def test_faults_in_goals_are_named_with_their_line(old: str, new: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        parse_profile(BASE.replace(old, new), "r2.yaml")
+
+
+def test_presence_tells_of_the_parts_that_it_matches_and_that_are_announced() -> None:
+    def watched(text: str) -> list[str]:
+        return [part.path for part in parse_profile(text, "r2.yaml").watched_parts()]
+
+    assert watched(BASE) == ["head", "wheels"]
+    assert watched(BASE.replace("r2/**", "r2/head")) == ["head"]
+    assert watched(BASE.replace('"@vertebra/parts/r2/**"', '""')) == []

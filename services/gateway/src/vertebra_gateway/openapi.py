@@ -68,7 +68,8 @@ _SCHEMAS: Final = {
             "additionalProperties": {"type": "object", "additionalProperties": _LIMIT},
         },
         takes={"enum": ["application/json", "audio/wav"]},
-        control={"enum": ["", "sliders", "form", "none"]},
+        reason={"type": "string", "description": "Why it answers 503 now"},
+        control={"enum": ["", "sliders", "form", "drive", "none"]},
     ),
     "Fleet": _object(
         services=_list_of("Service"), streams=_list_of("Stream"), clients=_list_of("Client")
@@ -246,12 +247,13 @@ def _fixed_operation(path: str, summary: str, schema: dict[str, Any] | None) -> 
 
 def _operation(robot: Robot, resource: Resource, leaf: str) -> dict[str, Any]:
     name = "-".join([robot.profile.robot, *resource.path.split("/"), *([leaf] if leaf else [])])
+    reason = robot.reason_of(resource)
     operation: dict[str, Any] = {
         "operationId": name,
         "tags": [robot.profile.robot],
         "summary": resource.description or resource.path,
         "description": f"Bound to the key `{resource.key}`."
-        + (f" Answers 503 now: {robot.reason}." if robot.reason else ""),
+        + (f" Answers 503 now: {reason}." if reason else ""),
         "responses": {"200": _answer(resource, leaf), **_PROBLEMS},
     }
     if resource.http_method == "POST":
@@ -303,9 +305,12 @@ def narrowed(schema: dict[str, Any], limits: Limits) -> dict[str, Any]:
             wanted["properties"] = {joint: _number(limit) for joint, limit in by_joint.items()}
             wanted["additionalProperties"] = False
         else:
-            bounds = [limit.max for limit in by_joint.values() if limit.max is not None]
-            if bounds:
-                wanted["maximum"] = max(bounds)
+            lowest = [limit.min for limit in by_joint.values() if limit.min is not None]
+            highest = [limit.max for limit in by_joint.values() if limit.max is not None]
+            if lowest:
+                wanted["minimum"] = min(lowest)
+            if highest:
+                wanted["maximum"] = max(highest)
     return schema
 
 

@@ -16,7 +16,7 @@ from jsonschema.exceptions import SchemaError
 from msgspec import Struct, field
 
 from vertebra.errors import ConfigError, NameMappingError
-from vertebra.keys import check_key, check_key_expression
+from vertebra.keys import check_key, check_key_expression, intersects
 
 Kind = Literal["read", "call", "stream"]
 Place = tuple[str | int, ...]
@@ -24,6 +24,7 @@ Place = tuple[str | int, ...]
 
 _STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+)\]")
 _NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]*")
+_ANNOUNCED: Final = frozenset({"control_board", "base"})
 _PATH: Final = re.compile(r"[a-z0-9][a-z0-9_-]*(/[a-z0-9][a-z0-9_-]*)*")
 
 
@@ -61,11 +62,18 @@ class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         kind: Name of the file in `parts/` that lists its resources.
         path: Where it is below the robot; theirs are below it.
         key: Where it is on the backbone; theirs are below it.
+        goal: JSON Schema of the goals of an action.
     """
 
-    kind: Literal["control_board", "gaze", "face", "speaker"]
+    kind: Literal["control_board", "gaze", "face", "speaker", "base", "action"]
     path: str
     key: str
+    goal: dict[str, Any] | None = None
+
+    @property
+    def presence(self) -> str:
+        """The key at which its adapter announces it, empty for kinds that nobody announces."""
+        return f"@vertebra/parts/{self.key}" if self.kind in _ANNOUNCED else ""
 
 
 class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -83,7 +91,7 @@ class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         takes: What a call is sent: JSON, or a sound that reaches the robot as an `AudioChunk`.
         limits: What bounds the input of a call.
         control: How the dashboard offers a call; by default sliders for joints that move between
-            limits, else a form, or a button if there is no input.
+            limits, else a form, or a button if there is no input. `drive` is a pad and a map.
         timeout_s: Longest time a call may take.
     """
 
@@ -97,7 +105,7 @@ class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     output: dict[str, Any] | None = None
     takes: Literal["application/json", "audio/wav"] = "application/json"
     limits: LimitSource | None = None
-    control: Literal["", "sliders", "form", "none"] = ""
+    control: Literal["", "sliders", "form", "drive", "none"] = ""
     timeout_s: float = 10.0
 
     @property
@@ -114,7 +122,8 @@ class Profile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         resources: What it offers.
         parts: Its parts; their resources come before the others.
         presence: Key expression of which at least one presence must be there for the robot to be
-            online, for example its adapter's; empty if nothing announces it.
+            online, for example its adapter's; empty if nothing announces it. A part whose own
+            presence it matches is away by itself, with all that is below its key.
     """
 
     robot: str
@@ -126,6 +135,14 @@ class Profile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def resource(self, path: str) -> Resource | None:
         """Return the resource at `path`."""
         return next((found for found in self.resources if found.path == path), None)
+
+    def watched_parts(self) -> tuple[Part, ...]:
+        """Return the parts of which `presence` tells whether they are there."""
+        return tuple(
+            part
+            for part in self.parts
+            if self.presence and part.presence and intersects(self.presence, part.presence)
+        )
 
 
 def load_profiles(folder: Path) -> tuple[Profile, ...]:
@@ -169,6 +186,8 @@ def parse_profile(text: str, file: str) -> Profile:
         )
     if profile.presence:
         _check_expression(document, profile.presence)
+    for index, part in enumerate(profile.parts):
+        _check_part(document, ("parts", index), part)
     places: list[Place] = [("resources", index) for index in range(len(profile.resources))]
     for index, part in reversed([*enumerate(profile.parts)]):
         offered = resources_of(part)
@@ -199,6 +218,7 @@ def resources_of(part: Part) -> tuple[Resource, ...]:
             offered,
             path=f"{part.path}/{offered.path}",
             key=f"{part.key}/{offered.key}",
+            input=part.goal if part.goal and offered.path == "goal" else offered.input,
             limits=offered.limits
             and msgspec.structs.replace(
                 offered.limits, source=f"{part.path}/{offered.limits.source}"
@@ -213,6 +233,14 @@ def _check_expression(document: _Document, expression: str) -> None:
         check_key_expression(expression)
     except NameMappingError as error:
         raise document.error(("presence",), str(error)) from error
+
+
+def _check_part(document: _Document, place: Place, part: Part) -> None:
+    if part.goal is None:
+        return
+    if part.kind != "action":
+        raise document.error((*place, "goal"), "goal belongs to a part of kind action")
+    _check_schema(document, (*place, "goal"), part.goal)
 
 
 def _check_resource(

@@ -31,12 +31,14 @@ class Robot:
     Attributes:
         profile: What it offers.
         reason: Why it is not online; empty if it is.
+        away: Why parts of it are away, by their key.
         limits: The limits of its calls, by path, as the robot told them last.
     """
 
     def __init__(self, profile: Profile) -> None:
         self.profile = profile
         self.reason = "not asked yet"
+        self.away: dict[str, str] = {}
         self.limits: dict[str, Limits] = {}
         self.checks = {
             resource.path: InputCheck(resource)
@@ -49,10 +51,21 @@ class Robot:
         """Whether it can be reached now."""
         return not self.reason
 
-    def require_online(self) -> None:
-        """Raise `NotConnectedError` with the reason if it is away."""
-        if self.reason:
-            raise NotConnectedError(f"robot {self.profile.robot!r} is away: {self.reason}")
+    def lacks(self, resource: Resource) -> str:
+        """Return why the part that a resource belongs to is away, empty if it is not."""
+        keys = (key for key in self.away if f"{resource.key}/".startswith(f"{key}/"))
+        return next((self.away[key] for key in keys), "")
+
+    def reason_of(self, resource: Resource) -> str:
+        """Return why a resource cannot be reached now, empty if it can."""
+        return self.reason or self.lacks(resource)
+
+    def require(self, resource: Resource) -> None:
+        """Raise `NotConnectedError` with the reason if a resource cannot be reached now."""
+        reason = self.reason_of(resource)
+        if reason:
+            what = "" if self.reason else f"{resource.path!r} of "
+            raise NotConnectedError(f"{what}robot {self.profile.robot!r} is away: {reason}")
 
     def resource(self, path: str) -> Resource:
         """Return the resource at `path`; raise `ProblemError` 404."""
@@ -86,6 +99,7 @@ class Robot:
                     "output": resource.output,
                     "limits": msgspec.to_builtins(self.limits.get(resource.path)),
                     "takes": resource.takes,
+                    "reason": self.reason_of(resource),
                     "control": resource.control,
                 }
                 for resource in self.profile.resources
@@ -139,7 +153,7 @@ class Robots:
             raise ProblemError(405, f"{path!r} is a resource to read, not to call", allowed=["GET"])
         if resource.takes != _JSON:
             raise ProblemError(415, f"{path!r} takes {resource.takes}, by POST to its path")
-        robot.require_online()
+        robot.require(resource)
         robot.checks[path].check(body, robot.limits.get(path, {}))
         deadline_s = min(timeout_s or resource.timeout_s, resource.timeout_s)
         return await self._ask_robot(resource, msgspec.json.encode(body), _JSON, deadline_s)
@@ -153,7 +167,7 @@ class Robots:
         """
         robot = self.robot(robot_name)
         resource = robot.resource(path)
-        robot.require_online()
+        robot.require(resource)
         payload, encoding = self._codecs.encode(read_wav(wav), Header(), ENCODING)
         return await self._ask_robot(resource, bytes(payload), encoding, resource.timeout_s)
 
@@ -188,13 +202,16 @@ class Robots:
             failures = 0
             while True:
                 news.clear()
+                away = _away(robot.profile, present)
                 if expression and not present:
-                    self._update(robot, f"nobody is present at {expression}", robot.limits)
+                    reason, limits = f"nobody is present at {expression}", robot.limits
+                    self._update(robot, reason, away, limits)
                 else:
+                    self._update(robot, robot.reason, away, robot.limits)
                     reason, limits = await self._ask(robot)
                     failures = failures + 1 if reason else 0
                     if failures != 1 or not robot.online:  # one answer may be late
-                        self._update(robot, reason, limits)
+                        self._update(robot, reason, away, limits)
                 well = robot.online and not failures
                 try:
                     async with asyncio.timeout(_ASK_EVERY_S if well else _ASK_AGAIN_S):
@@ -205,33 +222,32 @@ class Robots:
     async def _ask(self, robot: Robot) -> tuple[str, dict[str, Limits]]:
         """Fetch the limits of all calls; a robot of which no part tells its limits is not online.
 
-        A part that does not answer has no limits here: it checks commands itself, or is away.
+        A part that does not answer has no limits here: it checks commands itself, or is away. One
+        that is away keeps those that it told last.
         """
         if not self._bus.info().connected:
             return "the gateway does not reach the router", robot.limits
-        limited = [resource for resource in robot.profile.resources if resource.limits is not None]
-        sources = {resource.limits.source for resource in limited if resource.limits is not None}
-        answers = dict(
-            zip(
-                sorted(sources),
-                await asyncio.gather(
-                    *(self._ask_limits(robot.resource(source)) for source in sorted(sources))
-                ),
-                strict=True,
-            )
-        )
+        limited = [
+            (resource, resource.limits)
+            for resource in robot.profile.resources
+            if resource.limits is not None
+        ]
+        sources = {limits.source for _, limits in limited}
+        asked = sorted(source for source in sources if not robot.lacks(robot.resource(source)))
+        told = await asyncio.gather(*(self._ask_limits(robot.resource(path)) for path in asked))
+        answers = dict(zip(asked, told, strict=True))
         limits: dict[str, Limits] = {}
-        reasons = [answer for answer in answers.values() if isinstance(answer, str)]
-        for resource in limited:
-            source = resource.limits
-            answer = answers[source.source] if source is not None else ""
-            if source is None or isinstance(answer, str):
-                continue
-            try:
-                limits[resource.path] = read_limits(answer, source)
-            except CodecError as error:
-                return str(error), robot.limits
-        if reasons and not limits:
+        for resource, source in limited:
+            answer = answers.get(source.source)
+            if isinstance(answer, bytes):
+                try:
+                    limits[resource.path] = read_limits(answer, source)
+                except CodecError as error:
+                    return str(error), robot.limits
+            elif answer is None and resource.path in robot.limits:
+                limits[resource.path] = robot.limits[resource.path]
+        reasons = [answer for answer in told if isinstance(answer, str)]
+        if reasons and len(reasons) == len(told):
             return reasons[0], robot.limits
         return "", limits
 
@@ -245,16 +261,27 @@ class Robots:
             return str(error)
         return reply.payload
 
-    def _update(self, robot: Robot, reason: str, limits: dict[str, Limits]) -> None:
-        if (reason, limits) == (robot.reason, robot.limits):
+    def _update(
+        self, robot: Robot, reason: str, away: dict[str, str], limits: dict[str, Limits]
+    ) -> None:
+        if (reason, away, limits) == (robot.reason, robot.away, robot.limits):
             return
-        if not reason:
+        if robot.reason and not reason:
             log.info("robot %s is online", robot.profile.robot)
-        elif robot.online:
+        elif reason and robot.online:
             log.warning("robot %s is away: %s", robot.profile.robot, reason)
-        robot.reason, robot.limits = reason, limits
+        robot.reason, robot.away, robot.limits = reason, away, limits
         for tell in tuple(self.changed):
             tell()
+
+
+def _away(profile: Profile, present: set[str]) -> dict[str, str]:
+    """Return why watched parts are away, by their key."""
+    return {
+        part.key: f"nobody is present at {part.presence}"
+        for part in profile.watched_parts()
+        if part.presence not in present
+    }
 
 
 async def _watch(

@@ -116,7 +116,7 @@ def routes(gateway: Gateway) -> APIRouter:
         resource = found.resource(path)
         if resource.kind == "call":
             raise ProblemError(404, f"{path!r} is a call, not a stream")
-        found.require_online()
+        found.require(resource)
         return resource
 
     @router.post("/api/robots/{robot}/{path:path}")
