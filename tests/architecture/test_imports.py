@@ -59,11 +59,8 @@ PURE: Final = {
     "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
     "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/mapping.py",
     "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py",
-    "shared/src/vertebra/yarp/bottle.py",
-    "shared/src/vertebra/yarp/dialect.py", "shared/src/vertebra/yarp/incoming.py",
-    "shared/src/vertebra/yarp/objects/*.py", "shared/src/vertebra/yarp/packets.py",
-    "shared/src/vertebra/yarp/receiver.py", "shared/src/vertebra/yarp/text.py",
-    "shared/src/vertebra/yarp/wire.py",
+    "shared/src/vertebra/yarp/protocol/*.py", "shared/src/vertebra/yarp/objects/*.py",
+    "shared/src/vertebra/yarp/ports/incoming.py",
     "plugins/*.py",
     "services/*/board.py", "services/*/body.py", "services/*/geometry.py",
     "services/*/mapping/*.py", "services/*/pipeline.py", "services/*/scene.py",
@@ -95,7 +92,7 @@ def test_the_contracts_between_packages_are_kept() -> None:
 def test_every_package_is_under_contract() -> None:
     remedy = "list the package in all contracts of [tool.importlinter] in pyproject.toml"
     packages = {path.parts[path.parts.index("src") + 1] for path in SOURCES}
-    siblings, _, zenoh = CONFIGURATION["contracts"]
+    siblings, *_, zenoh = CONFIGURATION["contracts"]
     others = packages - {"vertebra"}
     parts = {
         f"vertebra.{path.with_suffix('').parts[3]}"

@@ -8,13 +8,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from vertebra.yarp.admin import TEXT_HELP, administer, obey
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.names import Contact
-from vertebra.yarp.nametable import NameTable, TableClient
-from vertebra.yarp.switchboard import Switchboard
-from vertebra.yarp.text import from_text, to_text
-from vertebra.yarp.wire import DEFAULT_LIMITS
+from vertebra.yarp.naming.names import Contact
+from vertebra.yarp.naming.nametable import NameTable, TableClient
+from vertebra.yarp.ports.admin import TEXT_HELP, administer, obey
+from vertebra.yarp.ports.switchboard import Switchboard
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.text import from_text, to_text
+from vertebra.yarp.protocol.wire import DEFAULT_LIMITS
 
 REPLIES = json.loads((Path(__file__).parent / "yarp" / "admin-3.12.json").read_text())
 

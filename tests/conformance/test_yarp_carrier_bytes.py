@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from vertebra.yarp.bottle import Value, Vocab, decode, encode
-from vertebra.yarp.mjpeg import STREAM_HEAD, comment_of, part
 from vertebra.yarp.objects import Image
-from vertebra.yarp.packets import Reassembly, cut
-from vertebra.yarp.receiver import Event, Greeting, Message, Receiver
-from vertebra.yarp.wire import (
+from vertebra.yarp.protocol.bottle import Value, Vocab, decode, encode
+from vertebra.yarp.protocol.mjpeg import STREAM_HEAD, comment_of, part
+from vertebra.yarp.protocol.packets import Reassembly, cut
+from vertebra.yarp.protocol.receiver import Event, Greeting, Message, Receiver
+from vertebra.yarp.protocol.wire import (
     DEFAULT_LIMITS,
     MCAST,
     MJPEG,

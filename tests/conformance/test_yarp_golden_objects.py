@@ -15,10 +15,11 @@ from typing import Any, Protocol
 import pytest
 
 from vertebra.errors import DecodeError
-from vertebra.yarp import bottle, objects
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.text import from_text, to_text
+from vertebra.yarp import objects
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.text import from_text, to_text
 
 FILES = {Dialect.V3: "objects-3.12.json", Dialect.V4: "objects-4.0.json"}
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vertebra.yarp import Dialect, encode
-from vertebra.yarp.hints import dialect_of
+from vertebra.yarp.protocol.hints import dialect_of
 
 FOLDER = Path(__file__).parent / "yarp"
 

@@ -17,17 +17,17 @@ from typing import Any
 
 import pytest
 
-from vertebra.yarp.bottle import Value, Vocab, decode, decode_prefix, encode
-from vertebra.yarp.client import RpcClient
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.incoming import Incoming, Reply
-from vertebra.yarp.link import Connection
-from vertebra.yarp.names import Contact
-from vertebra.yarp.nametable import NameTable, TableClient
-from vertebra.yarp.receiver import Event, Greeting, Message, Receiver
-from vertebra.yarp.switchboard import Switchboard
-from vertebra.yarp.text import from_text
-from vertebra.yarp.wire import (
+from vertebra.yarp.naming.names import Contact
+from vertebra.yarp.naming.nametable import NameTable, TableClient
+from vertebra.yarp.ports.client import RpcClient
+from vertebra.yarp.ports.incoming import Incoming, Reply
+from vertebra.yarp.ports.link import Connection
+from vertebra.yarp.ports.switchboard import Switchboard
+from vertebra.yarp.protocol.bottle import Value, Vocab, decode, decode_prefix, encode
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.receiver import Event, Greeting, Message, Receiver
+from vertebra.yarp.protocol.text import from_text
+from vertebra.yarp.protocol.wire import (
     ACK,
     DEFAULT_LIMITS,
     OUTPUT_CARRIERS,

@@ -22,11 +22,11 @@ from vertebra.yarp import (
     Vocab,
     encode,
 )
-from vertebra.yarp.datagrams import DatagramWriter, GroupMember
-from vertebra.yarp.mjpeg import STREAM_HEAD, comment_of
 from vertebra.yarp.objects import Image
-from vertebra.yarp.packets import cut
-from vertebra.yarp.wire import (
+from vertebra.yarp.ports.datagrams import DatagramWriter, GroupMember
+from vertebra.yarp.protocol.mjpeg import STREAM_HEAD, comment_of
+from vertebra.yarp.protocol.packets import cut
+from vertebra.yarp.protocol.wire import (
     MCAST,
     UDP,
     binary_message,
@@ -299,7 +299,7 @@ async def test_a_browser_watches_an_image_port(names: NameClient) -> None:
 async def test_a_port_without_a_codec_says_so(
     names: NameClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vertebra.yarp.switchboard.installed_jpeg", lambda: None)
+    monkeypatch.setattr("vertebra.yarp.ports.switchboard.installed_jpeg", lambda: None)
     async with await Port.open("/cam", names) as camera:
         reader, writer = await asyncio.open_connection(*place_of(camera))
         writer.write(b"GET /?action=stream HTTP/1.1\r\nHost: x\r\n\r\n")

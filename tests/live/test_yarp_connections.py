@@ -20,7 +20,7 @@ from vertebra.yarp import (
     Vocab,
     encode,
 )
-from vertebra.yarp.connections import (
+from vertebra.yarp.ports.connections import (
     NoSuchConnectionError,
     PortConnection,
     PortState,

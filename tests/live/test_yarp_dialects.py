@@ -28,7 +28,7 @@ from vertebra.yarp import (
     encode,
     objects,
 )
-from vertebra.yarp.exchange import ask
+from vertebra.yarp.naming.exchange import ask
 
 from .yarp_inbox import echo
 
@@ -116,7 +116,7 @@ async def test_who_does_not_tell_is_taken_for_yarp_3_with_one_line_in_the_log(
     names: NameClient, answer: bytes, caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr("vertebra.yarp.probe.PROBE_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("vertebra.yarp.naming.probe.PROBE_TIMEOUT_S", 0.2)
     gone = asyncio.Event()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -278,7 +278,7 @@ async def test_a_caller_of_unknown_dialect_waits_only_for_replies_that_differ(
     names: NameClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A C++ caller may be unable to answer the question while it waits for its reply."""
-    monkeypatch.setattr("vertebra.yarp.probe.PROBE_TIMEOUT_S", 0.3)
+    monkeypatch.setattr("vertebra.yarp.naming.probe.PROBE_TIMEOUT_S", 0.3)
 
     async def hang(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read()

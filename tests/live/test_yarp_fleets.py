@@ -14,7 +14,7 @@ from vertebra.messages import Array, JointState, Tensor, Text
 from vertebra.service import run_service
 from vertebra.testing.bus_suite import eventually
 from vertebra.yarp import NameClient, Port, encode
-from vertebra.yarp.connections import connections_of, survey
+from vertebra.yarp.ports.connections import connections_of, survey
 from vertebra_simulator.adapter import serve as serve_simulator
 from vertebra_simulator.settings import SimulatorSettings
 

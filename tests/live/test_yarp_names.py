@@ -25,10 +25,10 @@ from vertebra.yarp import (
     encode,
     find_name_server,
 )
-from vertebra.yarp.addresses import is_loopback, own_addresses
-from vertebra.yarp.discovery import Responder, discover
-from vertebra.yarp.reachability import Reachability, check_reachability
-from vertebra.yarp.wire import ACK, TCP, greeting, yarp_number
+from vertebra.yarp.naming.addresses import is_loopback, own_addresses
+from vertebra.yarp.naming.discovery import Responder, discover
+from vertebra.yarp.naming.reachability import Reachability, check_reachability
+from vertebra.yarp.protocol.wire import ACK, TCP, greeting, yarp_number
 
 TIMEOUT_S = 5.0
 

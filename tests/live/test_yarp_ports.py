@@ -39,7 +39,7 @@ from vertebra.yarp import (
     Vocab,
     encode,
 )
-from vertebra.yarp.wire import (
+from vertebra.yarp.protocol.wire import (
     ACK,
     FAST_TCP,
     TCP,

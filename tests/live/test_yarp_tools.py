@@ -21,7 +21,7 @@ import pytest
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
 from vertebra.yarp import Incoming, NameClient, NameServer, Port, Reply, Vocab, encode
-from vertebra.yarp.connections import connections_of, survey
+from vertebra.yarp.ports.connections import connections_of, survey
 
 pytestmark = pytest.mark.live
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vertebra.errors import DecodeError, EncodeError
-from vertebra.yarp.bottle import (
+from vertebra.yarp.protocol.bottle import (
     Dict,
     Float32,
     Incomplete,
@@ -24,7 +24,7 @@ from vertebra.yarp.bottle import (
     decode_prefix,
     encode,
 )
-from vertebra.yarp.dialect import Dialect
+from vertebra.yarp.protocol.dialect import Dialect
 
 
 def typed(value: object) -> object:

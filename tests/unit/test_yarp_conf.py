@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
-from vertebra.yarp.addresses import advertised_host, is_loopback
-from vertebra.yarp.conf import (
+from vertebra.yarp.naming.addresses import advertised_host, is_loopback
+from vertebra.yarp.naming.conf import (
     ServerAddress,
     config_path,
     configured_name_servers,

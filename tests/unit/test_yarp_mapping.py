@@ -23,7 +23,7 @@ from vertebra.messages import (
     item_bytes,
 )
 from vertebra.yarp import Dialect, Dict, Float32, Int8, Int16, Int64, Value, Vocab, encode, objects
-from vertebra.yarp.outputs import parts_of
+from vertebra.yarp.ports.outputs import parts_of
 from vertebra_yarp.mapping import (
     PIXEL_FORMATS,
     captured_ns,

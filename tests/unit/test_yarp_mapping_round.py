@@ -37,7 +37,7 @@ from vertebra.messages import (
     Twist,
 )
 from vertebra.yarp import Dialect, Dict, Vocab, encode, objects
-from vertebra.yarp.outputs import parts_of
+from vertebra.yarp.ports.outputs import parts_of
 from vertebra_yarp.mapping import to_message, to_payload
 from vertebra_yarp.mapping.media import OTHER_PIXELS
 from vertebra_yarp.routes import StreamType

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from vertebra.yarp.bottle import Value, Vocab
-from vertebra.yarp.nametable import NameTable
-from vertebra.yarp.subscriptions import Match
+from vertebra.yarp.naming.nametable import NameTable
+from vertebra.yarp.naming.subscriptions import Match
+from vertebra.yarp.protocol.bottle import Value, Vocab
 
 OK = [Vocab("ok")]
 
@@ -30,7 +30,7 @@ def test_a_port_gets_its_former_tcp_port_back_and_no_other_gets_it_meanwhile() -
 
 
 def test_tcp_ports_run_out_and_are_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vertebra.yarp.nametable._MAX_PORTS", 3)
+    monkeypatch.setattr("vertebra.yarp.naming.nametable._MAX_PORTS", 3)
     table = NameTable()
     for name in ("/a", "/b", "/c"):
         assert ask(table, "register", name)
@@ -261,8 +261,8 @@ def test_a_subscription_may_end_with_one_of_its_ports(lab: Lab, mode: str, keepe
 
 
 def test_subscriptions_and_topics_are_bounded(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vertebra.yarp.subscriptions._MAX_SUBSCRIPTIONS", 2)
-    monkeypatch.setattr("vertebra.yarp.subscriptions._MAX_TOPICS", 1)
+    monkeypatch.setattr("vertebra.yarp.naming.subscriptions._MAX_SUBSCRIPTIONS", 2)
+    monkeypatch.setattr("vertebra.yarp.naming.subscriptions._MAX_TOPICS", 1)
     assert [lab.ask("subscribe", "/x", name) for name in ("/a", "/b", "/a")] == [OK] * 3
     assert lab.ask("subscribe", "/x", "/c") == [Vocab("fail")]
     assert lab.ask("topic", "/t") == OK

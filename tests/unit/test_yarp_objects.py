@@ -9,9 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vertebra.errors import DecodeError, EncodeError
-from vertebra.yarp import bottle
-from vertebra.yarp.bottle import Value, Vocab
-from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.objects import (
     PIXEL_BYTES,
     Image,
@@ -31,6 +28,9 @@ from vertebra.yarp.objects import (
     kind_of,
     row_bytes,
 )
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Value, Vocab
+from vertebra.yarp.protocol.dialect import Dialect
 
 SENDABLE = sorted(PIXEL_BYTES.keys() - {"rgb-", "hsv."})
 

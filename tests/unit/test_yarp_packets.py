@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vertebra.yarp.packets import MAX_DATAGRAM_BYTES, Reassembly, cut
-from vertebra.yarp.receiver import Message
-from vertebra.yarp.wire import DEFAULT_LIMITS, PeerLimits, binary_message, command
+from vertebra.yarp.protocol.packets import MAX_DATAGRAM_BYTES, Reassembly, cut
+from vertebra.yarp.protocol.receiver import Message
+from vertebra.yarp.protocol.wire import DEFAULT_LIMITS, PeerLimits, binary_message, command
 
 
 class Taken:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vertebra.errors import DecodeError, EncodeError
-from vertebra.yarp.bottle import (
+from vertebra.yarp.protocol.bottle import (
     Dict,
     Float32,
     Int8,
@@ -19,8 +19,8 @@ from vertebra.yarp.bottle import (
     decode,
     encode,
 )
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.text import from_text, is_complete, join_lines, to_text
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.text import from_text, is_complete, join_lines, to_text
 
 
 def lossless_values() -> st.SearchStrategy[list[Value]]:

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vertebra.errors import DecodeError, EncodeError, NameMappingError
-from vertebra.yarp.bottle import Value, Vocab, encode
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.mjpeg import STREAM_HEAD, part
-from vertebra.yarp.names import check_name
-from vertebra.yarp.receiver import CallReply, Event, Greeting, Message, Number, Receiver
-from vertebra.yarp.wire import (
+from vertebra.yarp.naming.names import check_name
+from vertebra.yarp.protocol.bottle import Value, Vocab, encode
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.mjpeg import STREAM_HEAD, part
+from vertebra.yarp.protocol.receiver import CallReply, Event, Greeting, Message, Number, Receiver
+from vertebra.yarp.protocol.wire import (
     ACK,
     FAST_TCP,
     MJPEG,

@@ -13,7 +13,7 @@ from unittest import mock
 
 from vertebra.bus import zenoh_bus
 from vertebra.service import run_service
-from vertebra.yarp.link import Connection
+from vertebra.yarp.ports.link import Connection
 from vertebra_yarp.adapter import serve
 from vertebra_yarp.settings import YarpSettings
 

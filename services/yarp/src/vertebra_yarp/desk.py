@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from vertebra.bus import Reply, Request
 from vertebra.errors import CommandRefusedError
 from vertebra.service import Context
-from vertebra.yarp.connections import (
+from vertebra.yarp.ports.connections import (
     PortConnection,
     PortState,
     connect,

@@ -40,10 +40,10 @@ from vertebra.yarp import (
     decode,
     encode,
 )
-from vertebra.yarp.hints import dialect_of
-from vertebra.yarp.incoming import PeerDialect
-from vertebra.yarp.link import find
-from vertebra.yarp.outputs import Payload, parts_of
+from vertebra.yarp.ports.incoming import PeerDialect
+from vertebra.yarp.ports.link import find
+from vertebra.yarp.ports.outputs import Payload, parts_of
+from vertebra.yarp.protocol.hints import dialect_of
 from vertebra_yarp.driver import check_free
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from msgspec import field
 from vertebra.keys import check_key
 from vertebra.service.routes import Route
 from vertebra.yarp import from_text
-from vertebra.yarp.names import check_name
+from vertebra.yarp.naming.names import check_name
 
 Direction = Literal["inbound", "outbound"]
 ICUB_EXPRESSIONS: Final = {

@@ -16,9 +16,9 @@ from typing import Final, Literal
 from vertebra import heartbeat
 from vertebra.cli.processes import holder_of, tcp_port_is_free
 from vertebra.errors import VertebraError
-from vertebra.yarp.addresses import advertised_host, is_loopback, own_addresses
-from vertebra.yarp.names import NameClient
-from vertebra.yarp.reachability import check_reachability
+from vertebra.yarp.naming.addresses import advertised_host, is_loopback, own_addresses
+from vertebra.yarp.naming.names import NameClient
+from vertebra.yarp.naming.reachability import check_reachability
 
 _ANSWER_TIMEOUT_S: Final = 2.0
 _MULTICAST_GROUP: Final = "239.255.76.67"  # in the range that stays on this site

@@ -15,13 +15,13 @@ from typing import Final
 from vertebra.cli.yarp_streams import read, rpc, write
 from vertebra.errors import ConfigError, NotConnectedError
 from vertebra.service.logs import configure_logs
-from vertebra.yarp.clean import Probed, clean
-from vertebra.yarp.conf import ROOT, config_path, default_tcp_port
-from vertebra.yarp.connections import connect, disconnect
-from vertebra.yarp.discovery import find_name_server
-from vertebra.yarp.names import Contact, NameClient, ping
 from vertebra.yarp.nameserver import NameServer
-from vertebra.yarp.text import from_text, to_text
+from vertebra.yarp.naming.clean import Probed, clean
+from vertebra.yarp.naming.conf import ROOT, config_path, default_tcp_port
+from vertebra.yarp.naming.discovery import find_name_server
+from vertebra.yarp.naming.names import Contact, NameClient, ping
+from vertebra.yarp.ports.connections import connect, disconnect
+from vertebra.yarp.protocol.text import from_text, to_text
 
 _EXIT_INTERRUPTED: Final = 130
 _PORT_HELP: Final = "name of a YARP port, such as /camera"

@@ -11,14 +11,14 @@ from collections.abc import AsyncIterator, Iterator
 from typing import Final
 
 from vertebra.errors import ConfigError, NotConnectedError
-from vertebra.yarp.addresses import address_towards
-from vertebra.yarp.bottle import Value, Vocab, encode
-from vertebra.yarp.client import RpcClient
-from vertebra.yarp.connections import connect
-from vertebra.yarp.incoming import Incoming, OnData
-from vertebra.yarp.names import CHOOSE_FOR_ME, NameClient
-from vertebra.yarp.port import Port
-from vertebra.yarp.text import from_text, to_text
+from vertebra.yarp.naming.addresses import address_towards
+from vertebra.yarp.naming.names import CHOOSE_FOR_ME, NameClient
+from vertebra.yarp.ports.client import RpcClient
+from vertebra.yarp.ports.connections import connect
+from vertebra.yarp.ports.incoming import Incoming, OnData
+from vertebra.yarp.ports.port import Port
+from vertebra.yarp.protocol.bottle import Value, Vocab, encode
+from vertebra.yarp.protocol.text import from_text, to_text
 
 _READ_AHEAD_LINES: Final = 64
 _WAITING_MESSAGES: Final = 1000

@@ -10,7 +10,17 @@ life; `client` reads and calls ports without being one, and `connections` joins 
 
 from __future__ import annotations
 
-from vertebra.yarp.bottle import (
+from vertebra.yarp.nameserver import NameServer
+from vertebra.yarp.naming.discovery import find_name_server
+from vertebra.yarp.naming.names import Contact, NameClient
+from vertebra.yarp.ports.client import RpcClient
+from vertebra.yarp.ports.incoming import Incoming, OnCall, OnData, Reply
+from vertebra.yarp.ports.link import Counters, Delivery, Link, PortNotFoundError
+from vertebra.yarp.ports.outputs import Payload
+from vertebra.yarp.ports.port import Port
+from vertebra.yarp.ports.reader import Reader
+from vertebra.yarp.ports.sender import Sender
+from vertebra.yarp.protocol.bottle import (
     Dict,
     Float32,
     Incomplete,
@@ -24,20 +34,10 @@ from vertebra.yarp.bottle import (
     decode_prefix,
     encode,
 )
-from vertebra.yarp.client import RpcClient
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.discovery import find_name_server
-from vertebra.yarp.incoming import Incoming, OnCall, OnData, Reply
-from vertebra.yarp.link import Counters, Delivery, Link, PortNotFoundError
-from vertebra.yarp.mjpeg import JpegCodec, installed_jpeg
-from vertebra.yarp.names import Contact, NameClient
-from vertebra.yarp.nameserver import NameServer
-from vertebra.yarp.outputs import Payload
-from vertebra.yarp.port import Port
-from vertebra.yarp.reader import Reader
-from vertebra.yarp.sender import Sender
-from vertebra.yarp.text import from_text, is_complete, to_text
-from vertebra.yarp.wire import PeerLimits
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.mjpeg import JpegCodec, installed_jpeg
+from vertebra.yarp.protocol.text import from_text, is_complete, to_text
+from vertebra.yarp.protocol.wire import PeerLimits
 
 __all__ = [
     "Contact",

@@ -2,7 +2,7 @@
 
 It answers like `yarpserver`, connects what is to be connected whenever it is there (`subscribe`),
 and can be found by multicast. It never removes a name on its own: it cannot tell a dead port from
-one behind a network that only its readers share. `vertebra.yarp.clean` does, when asked to.
+one behind a network that only its readers share. `vertebra.yarp.naming.clean` does, when asked to.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from dataclasses import replace
 from typing import Final, Self
 
 from vertebra.errors import TransportError, VertebraError
-from vertebra.yarp.addresses import WILDCARDS, address_towards, own_addresses
-from vertebra.yarp.admin import fail
-from vertebra.yarp.conf import DEFAULT_TCP_PORT, ROOT
-from vertebra.yarp.connections import NoSuchConnectionError, connect, disconnect
-from vertebra.yarp.dialect import Dialect
-from vertebra.yarp.discovery import GROUP, Responder
-from vertebra.yarp.incoming import Incoming, Reply
-from vertebra.yarp.link import PortNotFoundError
-from vertebra.yarp.names import Contact, NameClient
-from vertebra.yarp.nametable import NameTable, TableClient, is_question
-from vertebra.yarp.port import Port
-from vertebra.yarp.subscriptions import Match
-from vertebra.yarp.wire import DEFAULT_LIMITS, HTTP, PeerLimits
+from vertebra.yarp.naming.addresses import WILDCARDS, address_towards, own_addresses
+from vertebra.yarp.naming.conf import DEFAULT_TCP_PORT, ROOT
+from vertebra.yarp.naming.discovery import GROUP, Responder
+from vertebra.yarp.naming.names import Contact, NameClient
+from vertebra.yarp.naming.nametable import NameTable, TableClient, is_question
+from vertebra.yarp.naming.subscriptions import Match
+from vertebra.yarp.ports.admin import fail
+from vertebra.yarp.ports.connections import NoSuchConnectionError, connect, disconnect
+from vertebra.yarp.ports.incoming import Incoming, Reply
+from vertebra.yarp.ports.link import PortNotFoundError
+from vertebra.yarp.ports.port import Port
+from vertebra.yarp.protocol.dialect import Dialect
+from vertebra.yarp.protocol.wire import DEFAULT_LIMITS, HTTP, PeerLimits
 
 log = logging.getLogger(__name__)
 

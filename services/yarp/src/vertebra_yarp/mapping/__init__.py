@@ -46,7 +46,7 @@ from vertebra.messages import (
     Twist,
 )
 from vertebra.yarp import Dialect, Payload, Value, decode, objects
-from vertebra.yarp.bottle import Buffer
+from vertebra.yarp.protocol.bottle import Buffer
 from vertebra_yarp.mapping import bottles, media, motion, sensing
 from vertebra_yarp.mapping.bottles import plain_of, values_of
 from vertebra_yarp.mapping.media import PIXEL_FORMATS

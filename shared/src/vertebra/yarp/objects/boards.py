@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
 from vertebra.errors import EncodeError
-from vertebra.yarp import bottle
-from vertebra.yarp.bottle import Buffer, Value, Vocab
-from vertebra.yarp.dialect import INT32, LIST, VOCAB32, Dialect
 from vertebra.yarp.objects.parts import (
     I32,
     TWO_I32,
@@ -21,6 +18,9 @@ from vertebra.yarp.objects.parts import (
     vector,
 )
 from vertebra.yarp.objects.vectors import Vector
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Buffer, Value, Vocab
+from vertebra.yarp.protocol.dialect import INT32, LIST, VOCAB32, Dialect
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from vertebra.errors import EncodeError
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import LIST, Dialect
 from vertebra.yarp.objects.parts import YarpObject, damage, pack
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import LIST, Dialect
 
 _POINT_CLOUD: Final = struct.Struct("<iii?ii")
 

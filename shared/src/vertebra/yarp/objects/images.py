@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from vertebra.errors import EncodeError
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import BLOB, INT32, LIST, VOCAB32, Dialect
 from vertebra.yarp.objects.parts import YarpObject, damage, pack
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import BLOB, INT32, LIST, VOCAB32, Dialect
 
 PIXEL_BYTES: Final = {
     "mono": 1,

@@ -6,9 +6,6 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from vertebra.errors import DecodeError
-from vertebra.yarp import bottle
-from vertebra.yarp.bottle import Buffer, Value
-from vertebra.yarp.dialect import LIST, Dialect
 from vertebra.yarp.objects.boards import JointData
 from vertebra.yarp.objects.clouds import PointCloud
 from vertebra.yarp.objects.images import Image
@@ -16,6 +13,9 @@ from vertebra.yarp.objects.parts import TWO_I32, YarpObject
 from vertebra.yarp.objects.sensors import SensorData
 from vertebra.yarp.objects.sounds import Sound
 from vertebra.yarp.objects.vectors import Vector
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Buffer, Value
+from vertebra.yarp.protocol.dialect import LIST, Dialect
 
 Kind = Literal[
     "bottle", "image", "joint_data", "point_cloud", "sensor_data", "sound", "unknown", "vector"

@@ -8,8 +8,8 @@ from array import array
 from typing import Final, TypeVar
 
 from vertebra.errors import DecodeError, EncodeError
-from vertebra.yarp.bottle import Buffer, Value
-from vertebra.yarp.dialect import LIST, Dialect
+from vertebra.yarp.protocol.bottle import Buffer, Value
+from vertebra.yarp.protocol.dialect import LIST, Dialect
 
 _N = TypeVar("_N", int, float)
 

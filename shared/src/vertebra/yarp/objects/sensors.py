@@ -7,10 +7,10 @@ from array import array
 from dataclasses import dataclass
 from typing import Final, Self
 
-from vertebra.yarp import bottle
-from vertebra.yarp.bottle import Buffer, Value
-from vertebra.yarp.dialect import INT32, LIST, Dialect
 from vertebra.yarp.objects.parts import TWO_I32, YarpObject, damage, floats, number_list, pack
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Buffer, Value
+from vertebra.yarp.protocol.dialect import INT32, LIST, Dialect
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from vertebra.errors import EncodeError
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import INT16, INT32, LIST, Dialect
 from vertebra.yarp.objects.parts import TWO_I32, YarpObject, as_bytes, damage, filled, of_type, pack
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import INT16, INT32, LIST, Dialect
 
 _SOUND: Final = struct.Struct("<12i")
 _NO_MARKERS: Final = TWO_I32.pack(LIST, 0)

@@ -7,10 +7,10 @@ import re
 from dataclasses import dataclass
 from typing import Final, Self
 
-from vertebra.yarp import bottle
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import Dialect
 from vertebra.yarp.objects.parts import YarpObject, damage
+from vertebra.yarp.protocol import bottle
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import Dialect
 
 _ENVELOPE: Final = re.compile(
     r"\s*([+-]?[0-9]{1,10})\s+([+-]?[0-9.]{1,40}(?:[eE][+-]?[0-9]{1,4})?)\s*"

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from vertebra.errors import EncodeError
-from vertebra.yarp.bottle import Buffer
-from vertebra.yarp.dialect import INT8, INT16, INT32, INT64, LIST, Dialect
 from vertebra.yarp.objects.parts import (
     TWO_I32,
     YarpObject,
@@ -21,6 +19,8 @@ from vertebra.yarp.objects.parts import (
     read_floats,
     vector,
 )
+from vertebra.yarp.protocol.bottle import Buffer
+from vertebra.yarp.protocol.dialect import INT8, INT16, INT32, INT64, LIST, Dialect
 
 
 @dataclass(frozen=True, slots=True)

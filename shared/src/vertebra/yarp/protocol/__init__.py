@@ -1,0 +1,1 @@
+"""What YARP's bytes mean; nothing here does I/O."""
