@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from vertebra.messages import Array
-from vertebra.ros2.graph import OTHER_MIDDLEWARE, Endpoint, Graph, endpoint_of, entries_of
+from vertebra.ros2.graph import (
+    OTHER_MIDDLEWARE,
+    Endpoint,
+    Graph,
+    endpoint_of,
+    entries_of,
+    nodes_of,
+)
 from vertebra.ros2.qos import Qos
 
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -114,7 +121,7 @@ def test_nodes_come_and_go_with_their_participant() -> None:
 
     graph = Graph()
     nodes = [node("/", "talker", 1), node("/lab", "camera", 2)]
-    graph.set_nodes({"gid": of(9), "node_entities_info_seq": nodes})
+    graph.set_nodes(*nodes_of({"gid": of(9), "node_entities_info_seq": nodes}))
     assert graph.nodes() == ["/lab/camera", "/talker"]
     assert graph.node_of(endpoint(2)) == "/lab/camera"
     assert graph.node_of(endpoint(3)) == ""

@@ -103,6 +103,17 @@ def endpoint_of(
     )
 
 
+def nodes_of(record: Mapping[str, Any]) -> tuple[bytes, dict[str, frozenset[bytes]]]:
+    """Return the participant and its nodes that a `ParticipantEntitiesInfo` tells of."""
+    nodes = {
+        f"{node['node_namespace'].rstrip('/')}/{node['node_name']}": frozenset(
+            map(_gid, [*node["reader_gid_seq"], *node["writer_gid_seq"]])
+        )
+        for node in record["node_entities_info_seq"]
+    }
+    return _gid(record["gid"]), nodes
+
+
 class Graph:
     """Everything of other participants that is known now."""
 
@@ -128,14 +139,9 @@ class Graph:
             del self._by_place[_place(known)]
         return True
 
-    def set_nodes(self, record: Mapping[str, Any]) -> None:
-        """Note the nodes of a participant, from its `ParticipantEntitiesInfo`."""
-        self._nodes[_gid(record["gid"])] = {
-            f"{node['node_namespace'].rstrip('/')}/{node['node_name']}": frozenset(
-                map(_gid, [*node["reader_gid_seq"], *node["writer_gid_seq"]])
-            )
-            for node in record["node_entities_info_seq"]
-        }
+    def set_nodes(self, participant: bytes, nodes: Mapping[str, frozenset[bytes]]) -> None:
+        """Note which endpoints the nodes of a participant have, by their full names."""
+        self._nodes[participant] = nodes
 
     def remove_participant(self, gid: bytes) -> None:
         """Forget the nodes of a participant."""

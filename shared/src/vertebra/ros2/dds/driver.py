@@ -33,7 +33,7 @@ from vertebra.ros2.dds.services import ServiceClient, ServiceServer
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import OnPayload, OnRequest
 from vertebra.ros2.drivers import Participation
-from vertebra.ros2.graph import Graph, endpoint_of
+from vertebra.ros2.graph import Graph, endpoint_of, nodes_of
 from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name
 from vertebra.ros2.qos import LATCHED, Qos
 
@@ -126,9 +126,9 @@ class DdsTransport:
             self._tell_changed()
 
     def _nodes_came(self, sample: Raw) -> None:
-        record = self._cdr.decode(sample.payload, DISCOVERY_TYPE)
-        if bytes(record["gid"]["data"].data) != self._dds.gid:
-            self.graph.set_nodes(record)
+        participant, nodes = nodes_of(self._cdr.decode(sample.payload, DISCOVERY_TYPE))
+        if participant != self._dds.gid:
+            self.graph.set_nodes(participant, nodes)
             self._tell_changed()
 
     def _tell_changed(self) -> None:
