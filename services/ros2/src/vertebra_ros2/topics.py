@@ -20,7 +20,7 @@ CDR_ENCODING: Final = "application/cdr"
 ORIGIN: Final = "ros2:"
 """Begins the origin of every message that came from ROS."""
 LEAST_WAITING: Final = 64
-"""So many messages of a topic may wait for us: what DDS overwrites nobody counts."""
+"""So many messages of a topic may wait for us at least; those that are too many are counted."""
 _BULK: Final = frozenset(
     {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2"}
 )

@@ -17,6 +17,8 @@ from vertebra.ros2.names import dds_type
 from vertebra.ros2.qos import Qos
 
 _BLOCK_AT_MOST: Final = duration(milliseconds=100)
+_LEAST_KEPT: Final = 256
+"""So many samples may wait in a reader for the thread that takes them."""
 _IDL: Final[dict[str, Any]] = {
     # `byte` for uint8 and int8: a Cyclone DDS 0.10 that is told of TK_UINT8 dies of it.
     "bool": bool, "byte": idl.byte, "uint8": idl.byte, "int8": idl.byte, "int16": idl.int16,
@@ -110,8 +112,12 @@ def _make(type_name: str, members: dict[str, Any]) -> type[IdlStruct]:
     return make_idl_struct(leaf, full, members, dataclassify=False)
 
 
-def dds_qos(qos: Qos, said: str) -> Any:
-    """Return DDS's QoS of an endpoint that says `said` in its USER_DATA."""
+def dds_qos(qos: Qos, said: str, *, reads: bool = False) -> Any:
+    """Return DDS's QoS of an endpoint that says `said` in its USER_DATA.
+
+    A reader keeps all, up to a limit: what DDS refuses then is counted, or comes again if it is
+    reliable. What a history of the last overwrites, nobody would know of.
+    """
     history = Policy.History.KeepLast(qos.depth)
     policies = [
         Policy.Reliability.Reliable(max_blocking_time=_BLOCK_AT_MOST)
@@ -120,19 +126,25 @@ def dds_qos(qos: Qos, said: str) -> Any:
         Policy.Durability.TransientLocal
         if qos.durability == "transient_local"
         else Policy.Durability.Volatile,
-        history,
-        Policy.WriterDataLifecycle(autodispose=False),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     ]
-    if qos.durability == "transient_local":  # this, and not the history, is what late joiners get
-        kept = Policy.DurabilityService(
-            cleanup_delay=0,
-            history=history,
-            max_samples=-1,
-            max_instances=-1,
-            max_samples_per_instance=-1,
+    if reads:
+        limit = max(qos.depth, _LEAST_KEPT)
+        limits = Policy.ResourceLimits(
+            max_samples=limit, max_instances=-1, max_samples_per_instance=-1
         )
-        policies.append(kept)
+        policies += [Policy.History.KeepAll, limits]
+    else:
+        policies += [history, Policy.WriterDataLifecycle(autodispose=False)]
+        if qos.durability == "transient_local":  # this, not the history, is what late joiners get
+            kept = Policy.DurabilityService(
+                cleanup_delay=0,
+                history=history,
+                max_samples=-1,
+                max_instances=-1,
+                max_samples_per_instance=-1,
+            )
+            policies.append(kept)
     if said:
         policies.append(Policy.Userdata(data=said.encode()))
     return DdsQos(*policies)

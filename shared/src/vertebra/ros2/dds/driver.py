@@ -178,6 +178,8 @@ class TopicReader:
     @property
     def mismatch(self) -> str:
         """The QoS for which a writer is not heard."""
+        if self._closed:
+            return ""
         return mismatch_of(self._reader.get_requested_incompatible_qos_status())
 
     def _came(self, sample: Raw) -> None:
@@ -204,12 +206,14 @@ class TopicWriter:
     @property
     def mismatch(self) -> str:
         """The QoS for which a reader does not hear us."""
+        if self._closed:
+            return ""
         return mismatch_of(self._writer.get_offered_incompatible_qos_status())
 
     def write(self, payload: bytes) -> None:
         """Send a payload."""
         if self._closed:
-            raise NotConnectedError(f"the writer of {self._name} is closed")
+            raise self._closed_error()
         write(self._writer, payload)
 
     async def matched(self) -> None:
@@ -228,7 +232,12 @@ class TopicWriter:
         try:
             await asyncio.to_thread(self._writer.wait_for_acks, duration(seconds=timeout_s))
         except DDSException as error:
+            raise self._closed_error() from error
+        except AttributeError as error:  # what cyclonedds 11.0.1 raises for its own timeout
             raise DeadlineError(f"a subscriber of {self._name}", timeout_s) from error
+
+    def _closed_error(self) -> NotConnectedError:
+        return NotConnectedError(f"the writer of {self._name} is closed")
 
     def close(self) -> None:
         """End it."""

@@ -47,41 +47,51 @@ _NOT_READ: Final = SampleState.NotRead | ViewState.Any | InstanceState.Any
 
 
 class Input:
-    """A DDS reader, what came of it, and who takes it in the event loop.
-
-    Attributes:
-        dropped: Samples that were let go because the event loop was late.
-    """
+    """A DDS reader, what came of it, and who takes it in the event loop."""
 
     def __init__(
         self, reader: Any, depth: int, taken: Callable[[Any], None], *, only_valid: bool = True
     ) -> None:
         self.reader = reader
         self.condition = ReadCondition(reader, _NOT_READ)
-        self.dropped = 0
         self._depth = depth
+        self._overrun = 0
+        self._refused = 0
         self._told = 0
         self._told_at_s = 0.0
+        self._handing_over = False
         self._waiting: deque[Any] = deque(maxlen=depth)
         self._taken = taken
         self._only_valid = only_valid
+        self._best_effort = Policy.Reliability.BestEffort in reader.get_qos()
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were let go because the event loop, or the thread, was late."""
+        return self._overrun + self._refused
 
     def take(self) -> bool:
-        """Take what came, in the thread; say whether it was anything."""
+        """Take what came, in the thread; say whether `hand_over` has to be called for it."""
         samples = self.reader.take(_BATCH, self.condition)
+        if self._best_effort and len(samples) == _BATCH:  # a full reader refuses what comes
+            self._refused = int(self.reader.get_sample_rejected_status().total_count)
         if self._only_valid:  # the others say that a writer went
             samples = [one for one in samples if one.sample_info.valid_data]
-        self.dropped += max(len(self._waiting) + len(samples) - self._depth, 0)
+        self._overrun += max(len(self._waiting) + len(samples) - self._depth, 0)
         self._waiting.extend(samples)
-        return bool(samples)
+        if not samples or self._handing_over:
+            return False
+        self._handing_over = True
+        return True
 
     def hand_over(self) -> None:
         """Give what came to who takes it, in the event loop."""
+        self._handing_over = False  # first of all: what comes from now on has itself handed over
         now_s = time.monotonic()
         if self.dropped > self._told and now_s > self._told_at_s + _TELL_EVERY_S:
             log.error("%d samples were lost: the event loop was late", self.dropped - self._told)
             self._told, self._told_at_s = self.dropped, now_s
-        while self._waiting:
+        for _ in range(len(self._waiting)):  # what comes meanwhile has its own turn
             sample = self._waiting.popleft()
             try:
                 self._taken(sample)
@@ -109,7 +119,7 @@ class Participant:
         self._inputs: list[Input] = []
         self._matched: dict[Any, asyncio.Event] = {}
         self._topics: dict[str, Any] = {}
-        self._stopping = False
+        self._stopping = self._closed = False
         self.entity = DomainParticipant(domain_id, qos=DdsQos(Policy.Userdata(data=b"enclave=/;")))
         self.gid = self.entity.guid.bytes
         self._waitset = WaitSet(self.entity)
@@ -125,7 +135,7 @@ class Participant:
 
     def make_reader(self, topic: str, type_name: str, qos: Qos, said: str = "") -> Any:
         """Make a reader of raw samples."""
-        settings = dds_qos(qos, said + self._hash(type_name))
+        settings = dds_qos(qos, said + self._hash(type_name), reads=True)
         return DataReader(self.entity, self._topic(topic, type_name), qos=settings)
 
     def _topic(self, topic: str, type_name: str) -> Any:
@@ -178,6 +188,8 @@ class Participant:
 
     def end(self, entity: Any) -> None:
         """Delete a writer or reader, in the thread that uses it."""
+        if self._closed:
+            return
         if entity in self.own:
             self.own.remove(entity)
             self._on_own()
@@ -214,8 +226,8 @@ class Participant:
             if entity.take_status(_matched_status(entity)):
                 self._tell(event.set)
         came = [one for one in self._inputs if one.take()]
-        for one in came:
-            self._tell(one.hand_over)
+        if came:
+            self._tell(lambda: _hand_over(came))
 
     def _fail(self, failure: TransportError) -> None:
         if not self.failed.done():
@@ -238,9 +250,15 @@ class Participant:
         for one in self._inputs:
             delete(one.condition)
             delete(one.reader)
+        self._closed = True
         for entity in (*self.own, *self._topics.values(), self._waitset, self._guard):
             delete(entity)
         delete(self.entity)
+
+
+def _hand_over(inputs: list[Input]) -> None:
+    for one in inputs:
+        one.hand_over()
 
 
 def _matched_status(entity: Any) -> int:

@@ -208,4 +208,5 @@ def _without_caller(payload: bytes) -> tuple[int, int, bytes]:
     if payload[:2] != HEADER[:2] or len(payload) < HEADER_BYTES + _CALLER.size:
         raise DecodeError(f"{len(payload)} bytes on a ROS service do not say who asked")
     caller, number = _CALLER.unpack_from(payload, HEADER_BYTES)
-    return caller, number, HEADER + payload[HEADER_BYTES + _CALLER.size :]
+    fields = memoryview(payload)[HEADER_BYTES + _CALLER.size :]
+    return caller, number, b"".join((HEADER, fields))
