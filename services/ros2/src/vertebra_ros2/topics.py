@@ -111,7 +111,7 @@ class InboundTopic:
     ) -> None:
         try:
             record = self.kit.cdr.decode(payload, type_name)
-            message = mapping.to_message(record, type_name)
+            message = mapping.to_message(record, type_name, self.route.sound)
         except CodecError:
             self.kit.refused.inc()
             raise  # the driver logs it
