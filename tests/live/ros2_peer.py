@@ -186,6 +186,17 @@ class GoalInfo(IdlStruct, typename="action_msgs.msg.dds_.GoalInfo_"):
 
 
 @dataclass
+class GoalStatus(IdlStruct, typename="action_msgs.msg.dds_.GoalStatus_"):
+    goal_info: GoalInfo
+    status: byte
+
+
+@dataclass
+class GoalStatusArray(IdlStruct, typename="action_msgs.msg.dds_.GoalStatusArray_"):
+    status_list: sequence[GoalStatus]
+
+
+@dataclass
 class CancelRequest(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Request_"):
     guid: uint64
     seq: int64
@@ -421,8 +432,11 @@ def hold(writer: Any, reader: Any) -> None:
         time.sleep(0.001)
 
 
-def count_up(peer: Peer) -> None:
-    """Serve the action Fibonacci: one number each 50 ms; an order below 0 is refused."""
+def count_up(peer: Peer, *, deaf: bool = False) -> None:
+    """Serve the action Fibonacci: one number each 50 ms; an order below 0 is refused.
+
+    The deaf one does what it is asked for, but does not say that it has accepted it.
+    """
 
     def pair(part: str, number: int, request: Any, reply: Any) -> tuple[Any, Any]:
         settings = qos(f"serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.1.{number};")
@@ -446,27 +460,123 @@ def count_up(peer: Peer) -> None:
             accepted = one.goal.order >= 0
             if accepted:
                 running[bytes(one.goal_id.uuid)] = (one.goal.order, [0, 1])
-            hold(accepts, goals)
-            accepts.write(SendGoalReply(one.guid, one.seq, accepted, Time(0, 0)))
+            if not deaf:
+                hold(accepts, goals)
+                accepts.write(SendGoalReply(one.guid, one.seq, accepted, Time(0, 0)))
         for one in peer.take(cancels):
             goal = bytes(one.goal_info.goal_id.uuid)
-            known = running.pop(goal, None)
-            if known is not None:
-                ended[goal] = (5, known[1])
+            stopped = [goal] if any(goal) else list(running)
+            stopped = [goal for goal in stopped if goal in running]
+            for goal in stopped:
+                ended[goal] = (5, running.pop(goal)[1])
+                say("cancelled", goal.hex())
             hold(cancelled, cancels)
-            infos = [one.goal_info] if known is not None else []
+            infos = [GoalInfo(GoalId(list(goal)), Time(0, 0)) for goal in stopped]
             cancelled.write(CancelReply(one.guid, one.seq, 0 if infos else 2, infos))
         for goal, (order, numbers) in list(running.items()):
-            numbers.append(numbers[-1] + numbers[-2])
+            numbers.append(numbers[-1] + numbers[-2] if len(numbers) < 40 else 0)
             told.write(FeedbackMessage(GoalId(list(goal)), Feedback(numbers)))
             if len(numbers) > order:
                 ended[goal] = (4, running.pop(goal)[1])
         waiting += peer.take(asks)
-        for one in [one for one in waiting if bytes(one.goal_id.uuid) in ended]:
+        for one in [one for one in waiting if bytes(one.goal_id.uuid) not in running]:
             waiting.remove(one)
-            status, numbers = ended[bytes(one.goal_id.uuid)]
+            status, numbers = ended.get(bytes(one.goal_id.uuid), (0, []))
             hold(results, asks)
             results.write(GetResultReply(one.guid, one.seq, status, Result(numbers)))
+
+
+class ActionClient:
+    """An action client as rclpy has it: three clients, and the topics feedback and status."""
+
+    def __init__(self, peer: Peer, action: str) -> None:
+        self.peer = peer
+        self.sent = 0
+        self.guid = int.from_bytes(os.urandom(8), "little")
+        self.pairs = {
+            "send_goal": self._pair(f"{action}/_action/send_goal", SendGoalRequest, SendGoalReply),
+            "get_result": self._pair(
+                f"{action}/_action/get_result", GetResultRequest, GetResultReply
+            ),
+            "cancel_goal": self._pair(f"{action}/_action/cancel_goal", CancelRequest, CancelReply),
+        }
+        self.feedback = peer.read(f"rt/{action}/_action/feedback", FeedbackMessage, qos())
+        self.status = peer.read(
+            f"rt/{action}/_action/status", GoalStatusArray, qos(latched=True, depth=1)
+        )
+        self.node = peer.announce()
+
+    def _pair(self, name: str, request: Any, reply: Any) -> tuple[Any, Any]:
+        said = ".".join(f"{one:x}" for one in os.urandom(16))
+        settings = qos(f"clientid={said};")
+        return (
+            self.peer.write(f"rq/{name}Request", request, settings),
+            self.peer.read(f"rr/{name}Reply", reply, settings),
+        )
+
+    def wait_for_server(self) -> None:
+        while not all(
+            writer.get_matched_subscriptions() and reader.get_matched_publications()
+            for writer, reader in self.pairs.values()
+        ):
+            time.sleep(0.001)
+
+    def ask(self, part: str, kind: Any, *fields: Any) -> Any:
+        """Call a service of the action; say meanwhile what its topics tell."""
+        writer, reader = self.pairs[part]
+        self.sent += 1
+        writer.write(kind(self.guid, self.sent, *fields))
+        until_s = time.monotonic() + 8
+        while time.monotonic() < until_s and not self.peer.done.is_set():
+            self.listen()
+            for reply in self.peer.take(reader):
+                if (reply.guid, reply.seq) == (self.guid, self.sent):
+                    return reply
+            time.sleep(0.001)
+        say("silence", part)
+        raise TimeoutError(part)
+
+    def listen(self) -> bool:
+        """Say what the topics tell; return whether there was feedback."""
+        heard = self.peer.take(self.feedback)
+        for one in heard:
+            say("feedback", bytes(one.goal_id.uuid).hex(), list(one.feedback.sequence))
+        for array in self.peer.take(self.status):
+            say("status", [one.status for one in array.status_list])
+        return bool(heard)
+
+
+def act(peer: Peer, action: str, order: int, then: str) -> None:
+    """Send a goal and follow it, or cancel it after the first feedback."""
+    client = ActionClient(peer, action)
+    say("ready")
+    client.wait_for_server()
+    goal_id = GoalId(list(os.urandom(16)))
+    if then == "unknown":
+        answer = client.ask("cancel_goal", CancelRequest, GoalInfo(goal_id, Time(0, 0)))
+        say("cancel", answer.return_code, len(answer.goals_canceling))
+    else:
+        accept = client.ask("send_goal", SendGoalRequest, goal_id, Goal(order))
+        say("accepted", accept.accepted, accept.stamp.sec, bytes(goal_id.uuid).hex())
+    if then == "twice":
+        accept = client.ask("send_goal", SendGoalRequest, goal_id, Goal(order))
+        say("accepted", accept.accepted, accept.stamp.sec)
+    if then in ("cancel", "cancel_all"):
+        while not client.listen():
+            time.sleep(0.001)
+        meant = goal_id if then == "cancel" else GoalId([0] * 16)
+        answer = client.ask("cancel_goal", CancelRequest, GoalInfo(meant, Time(0, 0)))
+        goals = [bytes(info.goal_id.uuid) == bytes(goal_id.uuid) for info in answer.goals_canceling]
+        say("cancel", answer.return_code, goals)
+    ended = client.ask("get_result", GetResultRequest, goal_id)
+    say("result", ended.status, list(ended.result.sequence))
+    if then == "late":
+        answer = client.ask("cancel_goal", CancelRequest, GoalInfo(goal_id, Time(0, 0)))
+        say("cancel", answer.return_code, len(answer.goals_canceling))
+        ended = client.ask("get_result", GetResultRequest, goal_id)
+        say("result", ended.status, list(ended.result.sequence))
+    while not peer.done.wait(0.01):
+        client.listen()
 
 
 def have_parameters(peer: Peer) -> None:
@@ -563,7 +673,9 @@ def main() -> None:
     elif role == "have_parameters":
         have_parameters(peer)
     elif role == "count_up":
-        count_up(peer)
+        count_up(peer, deaf="deaf" in arguments)
+    elif role == "act":
+        act(peer, arguments[0], int(arguments[1]), arguments[2] if arguments[2:] else "")
     elif role == "watch":
         watch(peer)
     else:

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
-from vertebra.ros2.mapping import Sound
 from vertebra.service.routes import parse_routes, read_routes
 from vertebra_ros2.routes import KINDS, Action, Service, Topic
 
@@ -19,11 +18,11 @@ def test_every_field() -> None:
 topics:
   - {ros: /scan, key: base/scan, depth: 5, max_rate_hz: 10}
   - {ros: /words, key: words, type: std_msgs/msg/String, direction: outbound, retain: true}
-  - {ros: /audio, key: ear, sound: {rate_hz: 48000, channels: 2, format: F32LE}}
 services:
   - {ros: /reset, key: base/reset, type: std_srvs/srv/Trigger}
 actions:
   - {ros: /navigate, key: base/navigate}
+  - {ros: /greet, key: greet, type: lab_msgs/action/Greet, direction: outbound, timeout_s: 1}
 """
     assert parse_routes(text, "routes.yaml", KINDS) == (
         Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
@@ -34,9 +33,15 @@ actions:
             direction="outbound",
             retain=True,
         ),
-        Topic(ros="/audio", key="ear", sound=Sound(rate_hz=48000, channels=2, format="F32LE")),
         Service(ros="/reset", key="base/reset", type="std_srvs/srv/Trigger"),
         Action(ros="/navigate", key="base/navigate"),
+        Action(
+            ros="/greet",
+            key="greet",
+            type="lab_msgs/action/Greet",
+            direction="outbound",
+            timeout_s=1,
+        ),
     )
 
 
@@ -100,6 +105,14 @@ def test_bad_line_is_named(line: str, told: str) -> None:
         (
             "services: [{ros: /a, key: a, type: std_msgs/msg/String}]",
             "std_msgs/msg/String is a message",
+        ),
+        (
+            "actions: [{ros: /a, key: a, type: std_srvs/srv/Trigger}]",
+            "std_srvs/srv/Trigger is no action",
+        ),
+        (
+            "actions: [{ros: /a, key: a, direction: outbound}]",
+            "an outbound route says the ROS type of /a",
         ),
     ],
 )

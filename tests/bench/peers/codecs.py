@@ -89,8 +89,7 @@ def vertebra(*, reuse: bool) -> Codec:
 
 def vertebra_message(value: Any) -> Message:
     if isinstance(value, dict):
-        columns: dict[str, Any] = {name: tuple(values) for name, values in value.items()}
-        return JointState(**columns)
+        return JointState(**{name: tuple(values) for name, values in value.items()})
     array = Array.of(value)
     return Image(pixels=array, pixel_format="rgb8") if value.ndim == 3 else Tensor(array=array)
 

@@ -15,6 +15,7 @@ from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
 from vertebra.service.routes import follow_routes, read_routes
+from vertebra_ros2.action_servers import OutboundAction
 from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.carried import Carried, Kit
 from vertebra_ros2.routes import KINDS, Action, AnyRoute, Topic
@@ -102,6 +103,8 @@ class Adapter:
                 self._kit, route
             )
         if isinstance(route, Action):
+            if route.direction == "outbound":
+                return OutboundAction(self._kit, route)
             return InboundAction(self._kit, route, self._clients)
         if route.direction == "inbound":
             return InboundService(self._kit, route, self._clients)

@@ -6,7 +6,6 @@ from typing import Final, Literal
 
 from vertebra.errors import ConfigError
 from vertebra.keys import check_key
-from vertebra.ros2.mapping import Sound
 from vertebra.ros2.names import check_name, check_type
 from vertebra.service.routes import Route
 
@@ -25,7 +24,6 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         depth: How many messages of it; inbound, how many may wait for us, 64 at least.
         retain: Outbound, late joiners get the last `depth` messages (transient_local).
         max_rate_hz: Thins the stream out; 0 carries everything.
-        sound: What the bytes of an inbound `AudioData` are.
     """
 
     ros: str
@@ -35,7 +33,6 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth: int = 10
     retain: bool = False
     max_rate_hz: float = 0.0
-    sound: Sound | None = None
 
     @property
     def claims(self) -> tuple[str, ...]:
@@ -72,25 +69,38 @@ class Service(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Action(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A ROS action of a node, driven by keys below `key`: `goal`, `result`, `cancel`, `feedback`.
+    """Goals one way: an action of a ROS node, driven by keys, or one of the fleet, driven by ROS.
+
+    On the backbone it is the keys `goal`, `result`, `cancel` and `feedback` below `key`.
 
     Attributes:
-        ros: The action.
-        key: Where it is on the backbone.
+        ros: The ROS action of a node (inbound), or one that we offer (outbound).
+        key: Where the action is on the backbone.
+        type: Its ROS type, such as `nav2_msgs/action/NavigateToPose`; only outbound.
+        direction: `inbound` offers what ROS has on the backbone.
+        timeout_s: Outbound, deadline for accepting a goal, and for cancelling one.
     """
 
     ros: str
+    type: str = ""
+    direction: Direction = "inbound"
+    timeout_s: float = 5.0
 
     @property
     def claims(self) -> tuple[str, ...]:
         """What no other route may have, in words."""
-        return (f"the ROS action {check_name(self.ros)}", f"the key {check_key(self.key)}")
+        _check(self.ros, self.type, "action", needs_type=self.direction == "outbound")
+        ends = (f"the ROS action {self.ros}", f"the key {check_key(self.key)}")
+        return tuple(f"{end} ({self.direction})" for end in ends)
 
 
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
     check_name(name)
-    if type_name and check_type(type_name).split("/")[1] == "msg" and kind != "msg":
+    said = check_type(type_name).split("/")[1] if type_name else kind
+    if said == "msg" and kind == "srv":
         raise ConfigError(f"{type_name} is a message, a service is called as in a/srv/B")
+    if said != kind == "action":
+        raise ConfigError(f"{type_name} is no action, which is called as in a/action/B")
     if needs_type and not type_name:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 

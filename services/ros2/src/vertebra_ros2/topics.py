@@ -8,6 +8,7 @@ from typing import Final
 
 from vertebra.bus import Delivery, Priority, Publisher, Sample
 from vertebra.errors import CodecError, TransportError
+from vertebra.messages import Message
 from vertebra.ros2 import mapping
 from vertebra.ros2.driver import Reader, Writer
 from vertebra.ros2.qos import Qos, for_reader, for_writer
@@ -111,11 +112,15 @@ class InboundTopic:
     ) -> None:
         try:
             record = self.kit.cdr.decode(payload, type_name)
-            message = mapping.to_message(record, type_name, self.route.sound)
+            message = self.to_message(record, type_name)
         except CodecError:
             self.kit.refused.inc()
             raise  # the driver logs it
         publisher.publish(message, captured_ns=mapping.captured_ns(record, sent_ns), hops=1)
+
+    def to_message(self, record: mapping.Record, type_name: str) -> Message:
+        """Return the message that a record is on the backbone; raise `CodecError`."""
+        return mapping.to_message(record, type_name)
 
     def _stop(self) -> None:
         if self._reader is not None:

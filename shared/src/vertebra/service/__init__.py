@@ -1,11 +1,13 @@
-"""The frame of every service: settings, run loop, logs, metrics, presence, typed streams."""
+"""The frame of every service: settings, run loop, logs, metrics, presence, streams, actions."""
 
+from vertebra.service.actions import Feedback, serve_action
 from vertebra.service.run import Context, main, run_service, service_key
 from vertebra.service.settings import ServiceSettings, describe, load_settings
 from vertebra.service.streams import MessagePublisher, MessageReader, Received
 
 __all__ = [
     "Context",
+    "Feedback",
     "MessagePublisher",
     "MessageReader",
     "Received",
@@ -14,5 +16,6 @@ __all__ = [
     "load_settings",
     "main",
     "run_service",
+    "serve_action",
     "service_key",
 ]
