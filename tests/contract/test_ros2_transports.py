@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -28,7 +29,8 @@ class TestDds(TransportSuite):
         configuration = (
             '<CycloneDDS><Domain Id="any"><General><AllowMulticast>false</AllowMulticast>'
             '<Interfaces><NetworkInterface name="lo"/></Interfaces></General><Discovery>'
-            f"<ExternalDomainId>{domain_id}</ExternalDomainId><LeaseDuration>1s</LeaseDuration>"
+            f"<ExternalDomainId>{domain_id}</ExternalDomainId><Tag>{uuid.uuid4().hex}</Tag>"
+            "<LeaseDuration>1s</LeaseDuration>"
             '<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers>'
             "</Discovery></Domain></CycloneDDS>"
         )

@@ -19,7 +19,7 @@ from vertebra.ros2.qos import Qos
 OTHER_MIDDLEWARE: Final = (
     "its node runs another middleware than Cyclone DDS (Jazzy's default is Fast DDS), which keeps "
     "the caller where this driver cannot see it: start that node with "
-    "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
+    "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or set VERTEBRA_ROS2_DRIVER=rclpy here"
 )
 _Place = tuple[Literal["writer", "reader"], Role, str]
 _PARTS: Final[dict[Role, str]] = {"topic": "", "request": "_Request", "reply": "_Response"}
@@ -55,8 +55,8 @@ class Service(Struct, frozen=True, kw_only=True):
 
     Attributes:
         type: Its type; empty if its servers do not agree.
-        reachable: Whether a server is there that puts the client into the request, as
-            rmw_cyclonedds does. Fast DDS puts it where this driver cannot see it.
+        reachable: Whether all its servers look for the client in the request, as rmw_cyclonedds
+            does. Fast DDS has it where the driver `dds` cannot put it.
     """
 
     type: str
@@ -191,7 +191,7 @@ class Graph:
             return None
         return Service(
             type=types.pop() if len(types) == 1 else "",
-            reachable=any(one.identity for one in servers),
+            reachable=all(one.identity for one in servers),
         )
 
     def _find(self, kind: Literal["writer", "reader"], role: Role, name: str) -> list[Endpoint]:

@@ -395,6 +395,12 @@ class TransportSuite(ABC):
             await asyncio.wait_for(asking, 1)
         with pytest.raises(NotConnectedError, match="/suite/add"):
             await ask(client, 1, 2)
+        looking = pair.here.client("/suite/nobody", ADD)
+        asking = asyncio.create_task(ask(looking, 1, 2))
+        await asyncio.sleep(0.05)
+        looking.close()
+        with pytest.raises(NotConnectedError, match="/suite/nobody"):
+            await asyncio.wait_for(asking, 1)
 
     async def test_the_parts_of_an_action_are_services_and_topics(self, pair: Pair) -> None:
         goal = {"goal_id": {"uuid": bytes(range(16))}, "goal": {"order": 5}}

@@ -76,7 +76,7 @@ class DdsTransport:
 
     def client(self, name: str, type_name: str) -> ServiceClient:
         """Be a client of a service; `type_name` such as `std_srvs/srv/Trigger`."""
-        return ServiceClient(self._dds, self.graph, name, type_name)
+        return ServiceClient(self._dds, name, type_name)
 
     def server(self, name: str, type_name: str, on_request: OnRequest) -> ServiceServer:
         """Offer a service."""

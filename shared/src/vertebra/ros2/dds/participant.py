@@ -106,6 +106,7 @@ class Participant:
         gid: Its identity, 16 bytes.
         own: Its endpoints that are part of the ROS graph.
         failed: Ends with the error that stopped the thread.
+        closed: Whether it is gone; nothing can be done with its endpoints then.
     """
 
     def __init__(self, domain_id: int, types: Types, on_own: Callable[[], None]) -> None:
@@ -119,7 +120,7 @@ class Participant:
         self._inputs: list[Input] = []
         self._matched: dict[Any, asyncio.Event] = {}
         self._topics: dict[str, Any] = {}
-        self._stopping = self._closed = False
+        self._stopping = self.closed = False
         self.entity = DomainParticipant(domain_id, qos=DdsQos(Policy.Userdata(data=b"enclave=/;")))
         self.gid = self.entity.guid.bytes
         self._waitset = WaitSet(self.entity)
@@ -188,7 +189,7 @@ class Participant:
 
     def end(self, entity: Any) -> None:
         """Delete a writer or reader, in the thread that uses it."""
-        if self._closed:
+        if self.closed:
             return
         if entity in self.own:
             self.own.remove(entity)
@@ -250,7 +251,7 @@ class Participant:
         for one in self._inputs:
             delete(one.condition)
             delete(one.reader)
-        self._closed = True
+        self.closed = True
         for entity in (*self.own, *self._topics.values(), self._waitset, self._guard):
             delete(entity)
         delete(self.entity)

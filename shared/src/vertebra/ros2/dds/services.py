@@ -1,7 +1,9 @@
 """ROS services on DDS, both sides, as rmw_cyclonedds has them.
 
 A service is two topics. In front of each request, and of its reply, are 8 bytes that name the
-client and 8 that number the request; every reply reaches every client.
+client and 8 that number the request; every reply reaches every client. Who puts them there says
+so in the USER_DATA of its endpoints. Fast DDS does not: its requests are refused, and none are sent
+to its servers, for each side would take the other's first fields for those 16 bytes.
 """
 
 from __future__ import annotations
@@ -12,14 +14,15 @@ import random
 import struct
 import time
 from collections.abc import Callable
-from typing import Final
+from functools import lru_cache
+from typing import Any, Final
 
-from vertebra.errors import DeadlineError, DecodeError, NotConnectedError
+from vertebra.errors import DeadlineError, DecodeError, NotConnectedError, VertebraError
 from vertebra.ros2.cdr import HEADER, HEADER_BYTES
-from vertebra.ros2.dds.announced import Raw
+from vertebra.ros2.dds.announced import Raw, user_data_of
 from vertebra.ros2.dds.participant import Input, Participant, write
 from vertebra.ros2.driver import OnRequest
-from vertebra.ros2.graph import Graph
+from vertebra.ros2.graph import OTHER_MIDDLEWARE, entries_of
 from vertebra.ros2.names import dds_name
 from vertebra.ros2.qos import Qos
 
@@ -58,20 +61,35 @@ class _Pair:
         self.reader = dds.make_reader(*read, Qos(depth=MAX_REQUESTS), said)
         self.writer_matched = dds.follow_matches(self.writer)
         self.reader_matched = dds.follow_matches(self.reader)
-        self.closed = False
+        self.who_reads = lru_cache(MAX_REQUESTS)(self._who_reads)
+        self.who_writes = lru_cache(MAX_REQUESTS)(self._who_writes)
+        self._ended = False
         self._dds = dds
         dds.attach(Input(self.reader, MAX_REQUESTS, came))
         dds.add_own(self.writer, self.reader)
 
     @property
-    def readers(self) -> int:
-        """How many read what we write."""
-        return 0 if self.closed else len(self.writer.get_matched_subscriptions())
+    def closed(self) -> bool:
+        """Whether this, or the participant, has been closed."""
+        return self._ended or self._dds.closed
 
     @property
-    def writers(self) -> int:
-        """How many write what we read."""
-        return 0 if self.closed else len(self.reader.get_matched_publications())
+    def readers(self) -> list[int]:
+        """Who reads what we write."""
+        return [] if self.closed else self.writer.get_matched_subscriptions()
+
+    @property
+    def writers(self) -> list[int]:
+        """Who writes what we read."""
+        return [] if self.closed else self.reader.get_matched_publications()
+
+    def _who_reads(self, handle: int) -> str | None:
+        """Return the identity of a reader: empty if it tells none, None if it has gone."""
+        return _identity(self.writer.get_matched_subscription_data(handle))
+
+    def _who_writes(self, handle: int) -> str | None:
+        """Return the identity of a writer: empty if it tells none, None if it has gone."""
+        return _identity(self.reader.get_matched_publication_data(handle))
 
     async def change(self) -> None:
         """Wait until one of both finds or loses somebody."""
@@ -85,17 +103,17 @@ class _Pair:
                 task.cancel()
 
     def close(self) -> None:
-        if not self.closed:
-            self.closed = True
+        if not self._ended:
+            self._ended = True
             self._dds.end(self.writer)
             self._dds.end(self.reader)
+            self.writer_matched.set()  # who waits for a change learns that none will come
 
 
 class ServiceClient:
     """See `driver.Client`."""
 
-    def __init__(self, dds: Participant, graph: Graph, name: str, type_name: str) -> None:
-        self._graph = graph
+    def __init__(self, dds: Participant, name: str, type_name: str) -> None:
         self._name = name
         self._caller = random.getrandbits(64)
         self._calls = 0
@@ -114,6 +132,8 @@ class ServiceClient:
             raise DeadlineError(f"the ROS service {self._name}", timeout_s) from error
 
     async def _ask(self, payload: bytes) -> bytes:
+        if self._pair.closed:
+            raise self._closed_error()
         self._calls += 1
         number = self._calls
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
@@ -128,20 +148,24 @@ class ServiceClient:
         """Wait until both directions are there: a reply would be lost else."""
         try:
             async with asyncio.timeout(timeout_s):
-                while not (self._pair.readers and self._pair.writers):
-                    self._refuse_others()
+                while not self._is_matched():
                     await self._pair.change()
         except TimeoutError as error:
             raise NotConnectedError(
                 f"nobody offers the ROS service {self._name}; start its node, and look whether "
                 "'vertebra ros2 services' lists it"
             ) from error
-        self._refuse_others()
 
-    def _refuse_others(self) -> None:
-        service = self._graph.service(self._name)
-        if service is not None and not service.reachable:
-            raise NotConnectedError(f"the ROS service {self._name}: {service.problem}")
+    def _is_matched(self) -> bool:
+        if self._pair.closed:
+            raise self._closed_error()
+        servers = self._pair.readers
+        if any(self._pair.who_reads(server) == "" for server in servers):
+            raise NotConnectedError(f"the ROS service {self._name}: {OTHER_MIDDLEWARE}")
+        return bool(servers and self._pair.writers)
+
+    def _closed_error(self) -> NotConnectedError:
+        return NotConnectedError(f"the client of {self._name} is closed")
 
     def _came(self, sample: Raw) -> None:
         caller, number, payload = _without_caller(sample.payload)
@@ -153,7 +177,7 @@ class ServiceClient:
         """End it; calls that wait fail."""
         for answer in self._waiting.values():
             if not answer.done():
-                answer.set_exception(NotConnectedError(f"the client of {self._name} closes"))
+                answer.set_exception(self._closed_error())
         self._pair.close()
 
 
@@ -164,9 +188,19 @@ class ServiceServer:
         self._name = name
         self._on_request = on_request
         self._tasks: set[asyncio.Task[None]] = set()
+        self._accepts = lru_cache(MAX_REQUESTS)(self._look_who_asks)
         self._pair = _Pair(dds, name, type_name, serves=True, came=self._came)
 
+    def _look_who_asks(self, client: int) -> bool:
+        """Say whether the requests of a client are taken, and tell once if they are not."""
+        identity = self._pair.who_writes(client)
+        if identity == "":
+            log.error("%s: a client is not answered: %s", self._name, OTHER_MIDDLEWARE)
+        return bool(identity)
+
     def _came(self, sample: Raw) -> None:
+        if self._pair.closed or not self._accepts(sample.sample_info.publication_handle):
+            return
         caller, number, payload = _without_caller(sample.payload)
         if len(self._tasks) >= MAX_REQUESTS:
             log.error("%s: a request is lost: %d are open already", self._name, MAX_REQUESTS)
@@ -176,18 +210,21 @@ class ServiceServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _answer(self, caller: int, number: int, payload: bytes) -> None:
-        reply = await self._on_request(payload)
-        if reply is None:
-            return
-        await self._find_clients()
-        if not self._pair.closed:
-            write(self._pair.writer, _with_caller(reply, caller, number))
+        try:
+            reply = await self._on_request(payload)
+            if reply is None:
+                return
+            await self._find_clients()
+            if not self._pair.closed:
+                write(self._pair.writer, _with_caller(reply, caller, number))
+        except VertebraError as error:
+            log.error("%s: a request gets no answer: %s", self._name, error)  # noqa: TRY400
 
     async def _find_clients(self) -> None:
         """Hold a reply until as many read replies as write requests, but not for long."""
         try:
             async with asyncio.timeout(HOLD_REPLY_S):
-                while self._pair.readers < self._pair.writers:
+                while len(self._pair.readers) < len(self._pair.writers):
                     await self._pair.change()
         except TimeoutError:
             log.debug("%s: somebody asks who does not read replies", self._name)
@@ -197,6 +234,13 @@ class ServiceServer:
         for task in self._tasks:
             task.cancel()
         self._pair.close()
+
+
+def _identity(endpoint: Any) -> str | None:
+    if endpoint is None:
+        return None
+    entries = entries_of(user_data_of(endpoint.qos))
+    return entries.get("serviceid") or entries.get("clientid", "")
 
 
 def _with_caller(payload: bytes, caller: int, number: int) -> bytes:
