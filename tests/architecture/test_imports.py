@@ -41,7 +41,7 @@ WHERE: Final = {
     # pictures and numbers
     "cv2": ["services/camera/*/driver_opencv.py", "services/face_tracking/*"],
     "PIL": ["plugins/pillow/*", "services/camera/*", "services/gateway/*", "services/simulator/*"],
-    "numpy": ["plugins/numpy/*", "services/*", "shared/src/vertebra/ros2/mapping.py"],
+    "numpy": ["plugins/numpy/*", "services/*", "shared/src/vertebra/ros2/mapping/*"],
     # the web
     "fastapi": ["services/gateway/*"],
     "starlette": ["services/gateway/*"],
@@ -57,7 +57,7 @@ PURE: Final = {
     "shared/src/vertebra/codec/*.py", "shared/src/vertebra/keys.py",
     "shared/src/vertebra/messages/*.py",
     "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
-    "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/mapping.py",
+    "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/mapping/*.py",
     "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py",
     "shared/src/vertebra/yarp/protocol/*.py", "shared/src/vertebra/yarp/objects/*.py",
     "shared/src/vertebra/yarp/ports/incoming.py",

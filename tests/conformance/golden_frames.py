@@ -2,7 +2,8 @@
 
     frames/<case>.json          a message and its header: every writer makes <case>.bin from it,
                                 every reader reads it back from there
-    frames/foreign/<case>.json  what other or future writers may write: read only
+    frames/foreign/<case>.json  what other, past or future writers may write: read only; a case
+                                whose message got new fields goes there as `<case>-first`
     frames/damaged/<case>.json  refused, with `error` and with `reason` in its text; those with
                                 `"needs": "schemas"` only by readers that know the message types
 

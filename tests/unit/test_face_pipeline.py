@@ -16,6 +16,8 @@ from vertebra_face_tracking.pipeline import find_faces, to_rgb
 from vertebra_face_tracking.tracker import Tracker
 
 COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (10, 200, 90)]
+YUV = {"uyvy", "yuv422", "yuyv", "yuv422_yuy2"}
+COLOURLESS = {name for name in PIXELS if name[0].isdigit()} - {"8UC1", "8UC3"} | {"depth32f"}
 NOW_NS = 1_700_000_000_000_000_000
 
 
@@ -78,7 +80,7 @@ def test_rgb_is_not_copied() -> None:
     assert np.shares_memory(to_rgb(image), np.asarray(image.pixels))
 
 
-@pytest.mark.parametrize("pixel_format", sorted(set(PIXELS) - {"depth32f"}))
+@pytest.mark.parametrize("pixel_format", sorted(PIXELS))
 @pytest.mark.parametrize(("height", "width"), [(0, 0), (0, 5), (5, 0)])
 def test_an_image_without_pixels_is_refused_with_its_size(
     pixel_format: PixelFormat, height: int, width: int
@@ -91,7 +93,7 @@ def test_an_image_without_pixels_is_refused_with_its_size(
         to_rgb(empty)
 
 
-@pytest.mark.parametrize("pixel_format", sorted(set(PIXELS) - {"depth32f"}))
+@pytest.mark.parametrize("pixel_format", sorted(set(PIXELS) - COLOURLESS - YUV))
 def test_an_image_of_one_pixel_is_an_image(pixel_format: PixelFormat) -> None:
     dtype, channels = PIXELS[pixel_format]
     pixel = np.full((1, 1) if channels == 1 else (1, 1, channels), 9, dtype)
@@ -99,9 +101,29 @@ def test_an_image_of_one_pixel_is_an_image(pixel_format: PixelFormat) -> None:
     assert to_rgb(image_of(pixel, pixel_format)).shape == (1, 1, 3)
 
 
-def test_a_depth_image_is_refused() -> None:
-    with pytest.raises(DecodeError, match="use the colour image"):
-        to_rgb(image_of(np.ones((4, 4), np.float32), "depth32f"))
+@pytest.mark.parametrize("pixel_format", sorted(COLOURLESS))
+def test_numbers_that_are_no_colours_are_refused(pixel_format: PixelFormat) -> None:
+    dtype, channels = PIXELS[pixel_format]
+    pixels = np.ones((4, 4) if channels == 1 else (4, 4, channels), dtype)
+    with pytest.raises(DecodeError, match=f"a {pixel_format} image .* use the colour image"):
+        to_rgb(image_of(pixels, pixel_format))
+
+
+@pytest.mark.parametrize("pixel_format", sorted(YUV))
+def test_two_pixels_share_a_colour(pixel_format: PixelFormat) -> None:
+    bytes_of_two = (
+        [128, 100, 128, 200] if pixel_format in ("uyvy", "yuv422") else [100, 128, 200, 128]
+    )
+    pixels = np.tile(np.array(bytes_of_two, np.uint8).reshape(2, 2), (2, 2, 1))
+    rgb = to_rgb(image_of(pixels, pixel_format)).astype(int)
+    assert rgb.shape == (2, 4, 3)
+    assert (rgb.max(axis=-1) - rgb.min(axis=-1)).max() <= 2  # grey
+    assert (rgb[:, 0] < rgb[:, 1]).all()
+
+
+def test_colours_of_16_bits_show_their_upper_half() -> None:
+    pixels = np.full((4, 4, 3), (0x0AFF, 0x14FF, 0x1EFF), "<u2")
+    assert (to_rgb(image_of(pixels, "bgr16")) == (0x1E, 0x14, 0x0A)).all()
 
 
 class Stub:

@@ -73,6 +73,23 @@ def test_every_pixel_format_is_shown() -> None:
         assert shown.size > 0, name
 
 
+def test_two_pixels_of_yuv_share_a_colour() -> None:
+    red = (76, 85, 255)  # brightness, blue, red
+    y, u, v = red
+    for name, pair in {"yuyv": (y, u, y, v), "uyvy": (u, y, v, y)}.items():
+        pixels = np.tile(np.array(pair, np.uint8).reshape(2, 2), (8, 4, 1))
+        shown = decode(to_jpeg(image(pixels, name), 95))  # type: ignore[arg-type]
+        assert np.abs(shown.astype(int) - (254, 0, 0)).max() <= 6, name
+    with pytest.raises(EncodeError, match="even width, not 3"):
+        to_jpeg(image(np.zeros((2, 3, 2), np.uint8), "uyvy"), 80)
+
+
+def test_colours_of_16_bits_show_their_upper_half() -> None:
+    pixels = np.full((8, 8, 3), (0xFF00, 0x8000, 0x0000), "<u2")
+    shown = decode(to_jpeg(image(pixels, "rgb16"), 95))
+    assert np.abs(shown.astype(int) - (255, 128, 0)).max() <= 6
+
+
 def test_a_jpeg_is_left_as_it_is() -> None:
     file = to_jpeg(image(np.zeros((8, 8), np.uint8), "mono8"), 80)
     message = CompressedImage(data=Array.of(file), media_type="image/jpeg")

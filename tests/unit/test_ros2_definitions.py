@@ -152,6 +152,28 @@ def test_clash_names_both_definitions(standard: Types) -> None:
     assert "ROS 2 Jazzy says it is {string data}" in text
 
 
+def test_package_of_a_lab_is_taken_for_the_one_that_we_bring(tmp_path: Path) -> None:
+    folder = tmp_path / "audio_common_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "AudioData.msg").write_text("float32[] float32_data")
+    types = Types.standard(tmp_path)
+    assert [str(field) for field in types.definition("audio_common_msgs/msg/AudioData")] == [
+        "float32[] float32_data"
+    ]
+    assert "audio_common_msgs/msg/AudioInfo" not in types
+    assert "hri_msgs/msg/IdsList" in types
+
+
+def test_package_of_jazzy_is_not_replaced(tmp_path: Path) -> None:
+    folder = tmp_path / "action_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "GoalInfo.msg").write_text("unique_identifier_msgs/UUID goal_id\nint32 stamp")
+    with pytest.raises(
+        ConfigError, match=r"GoalInfo\.msg: action_msgs/msg/GoalInfo is .* ROS 2 Jazzy"
+    ):
+        Types.standard(tmp_path)
+
+
 def test_same_definition_again_is_no_clash(standard: Types) -> None:
     standard.add_text("std_msgs/msg/String", "string data  # as ever", "mine/String.msg")
 

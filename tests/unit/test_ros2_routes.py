@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from vertebra.errors import ConfigError
+from vertebra.ros2.mapping import Sound
 from vertebra.service.routes import parse_routes, read_routes
 from vertebra_ros2.routes import KINDS, Action, Service, Topic
 
@@ -18,6 +19,7 @@ def test_every_field() -> None:
 topics:
   - {ros: /scan, key: base/scan, depth: 5, max_rate_hz: 10}
   - {ros: /words, key: words, type: std_msgs/msg/String, direction: outbound, retain: true}
+  - {ros: /audio, key: ear, sound: {rate_hz: 48000, channels: 2, format: F32LE}}
 services:
   - {ros: /reset, key: base/reset, type: std_srvs/srv/Trigger}
 actions:
@@ -33,6 +35,7 @@ actions:
             direction="outbound",
             retain=True,
         ),
+        Topic(ros="/audio", key="ear", sound=Sound(rate_hz=48000, channels=2, format="F32LE")),
         Service(ros="/reset", key="base/reset", type="std_srvs/srv/Trigger"),
         Action(ros="/navigate", key="base/navigate"),
         Action(

@@ -89,7 +89,8 @@ def vertebra(*, reuse: bool) -> Codec:
 
 def vertebra_message(value: Any) -> Message:
     if isinstance(value, dict):
-        return JointState(**{name: tuple(values) for name, values in value.items()})
+        columns: dict[str, Any] = {name: tuple(values) for name, values in value.items()}
+        return JointState(**columns)
     array = Array.of(value)
     return Image(pixels=array, pixel_format="rgb8") if value.ndim == 3 else Tensor(array=array)
 

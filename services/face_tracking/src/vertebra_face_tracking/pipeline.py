@@ -21,6 +21,12 @@ _TO_RGB: Final = {
     "bayer_bggr8": cv2.COLOR_BayerBGGR2RGB,
     "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
     "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB,
+    "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "yuyv": cv2.COLOR_YUV2RGB_YUY2,
+    "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+    "8UC1": cv2.COLOR_GRAY2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
 }
 
 
@@ -43,6 +49,7 @@ def find_faces(image: Image, captured_ns: int, detector: Detector, tracker: Trac
         image_width=image.width,
         image_height=image.height,
         backend=f"{detector.name} ({detector.version})",
+        frame_id=image.frame_id,
     )
 
 
@@ -57,15 +64,20 @@ def to_rgb(image: Image) -> RgbImage:
     pixels = np.asarray(image.pixels)
     if pixels.size == 0:
         raise DecodeError(f"the image has no pixels: it is {image.width} x {image.height}")
-    if image.pixel_format == "rgb8":
-        return pixels
-    if image.pixel_format == "depth32f":
-        raise DecodeError("a depth image has no colours to find faces in; use the colour image")
-    if image.pixel_format == "mono16":
+    pixel_format: str = image.pixel_format
+    if pixel_format == "mono16":
         lowest, highest = int(pixels.min()), int(pixels.max())
         stretched = (pixels - lowest) * (255 / max(1, highest - lowest))
         return np.dstack([stretched.astype(np.uint8)] * 3)
-    return np.asarray(cv2.cvtColor(pixels, _TO_RGB[image.pixel_format]), np.uint8)
+    if pixel_format.endswith("16"):
+        pixels, pixel_format = (pixels >> 8).astype(np.uint8), f"{pixel_format[:-2]}8"
+    if pixel_format == "rgb8":
+        return pixels
+    if pixel_format not in _TO_RGB:
+        raise DecodeError(
+            f"a {image.pixel_format} image has no colours to find faces in; use the colour image"
+        )
+    return np.asarray(cv2.cvtColor(pixels, _TO_RGB[pixel_format]), np.uint8)
 
 
 def _face(tracked: TrackedFace) -> Face:

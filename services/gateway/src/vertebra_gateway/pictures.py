@@ -17,6 +17,8 @@ _RAW_MODES: Final = {
     "bgr8": ("RGB", "BGR"),
     "rgba8": ("RGB", "RGBX"),
     "bgra8": ("RGB", "BGRX"),
+    "8UC3": ("RGB", "BGR"),
+    "8UC4": ("RGB", "BGRX"),
 }
 """Mode of the picture and raw mode of the bytes, as Pillow names them."""
 _BAYER_COLORS: Final = {
@@ -25,13 +27,17 @@ _BAYER_COLORS: Final = {
     "bayer_grbg8": "grbg",
     "bayer_gbrg8": "gbrg",
 }
+_YUV_BYTES: Final = {
+    "uyvy": (1, 0, 2), "yuv422": (1, 0, 2), "yuyv": (0, 1, 3), "yuv422_yuy2": (0, 1, 3),
+}  # fmt: skip
+"""Where brightness, blue and red of the first of two pixels are among the four bytes of both."""
 
 
 def to_jpeg(message: Message, quality: int) -> bytes:
     """Return the JPEG file that shows an image; one that is a JPEG already is left as it is.
 
-    Distances and 16-bit images are scaled to the range they use; Bayer images come out at half
-    their size.
+    Distances and other numbers are scaled to the range they use, and so are grey images of 16 bits;
+    of colours of 16 bits the upper half is shown. Bayer images come out at half their size.
 
     Raises:
         EncodeError: The message is no image that a JPEG can show.
@@ -53,17 +59,33 @@ def to_jpeg(message: Message, quality: int) -> bytes:
 
 
 def _picture(image: Image) -> PIL.Image.Image:
-    size = (image.width, image.height)
-    modes = _RAW_MODES.get(image.pixel_format)
+    pixel_format: str = image.pixel_format
+    values = np.asarray(image.pixels)
+    if pixel_format.endswith("16") and pixel_format != "mono16":
+        pixel_format, values = f"{pixel_format[:-2]}8", (values >> 8).astype(np.uint8)
+    modes = _RAW_MODES.get(pixel_format)
     if modes is not None:
         mode, raw_mode = modes
-        pixels: Any = image.pixels.data  # Pillow reads any buffer; its types say less
+        pixels: Any = values  # Pillow reads any buffer; its types say less
+        size = (image.width, image.height)
         return PIL.Image.frombuffer(mode, size, pixels, "raw", raw_mode, 0, 1)
-    values = np.asarray(image.pixels)
-    colors = _BAYER_COLORS.get(image.pixel_format)
-    if colors is not None:
-        return _half_size(values, colors)
-    return _scaled(values)
+    if pixel_format in _BAYER_COLORS:
+        return _half_size(values, _BAYER_COLORS[pixel_format])
+    if pixel_format in _YUV_BYTES:
+        return _of_yuv(values, *_YUV_BYTES[pixel_format])
+    return _scaled(values if values.ndim == 2 else values[..., 0])
+
+
+def _of_yuv(pixels: np.ndarray[Any, Any], y: int, u: int, v: int) -> PIL.Image.Image:
+    if pixels.shape[1] % 2:
+        raise EncodeError(f"an image of 4:2:2 has an even width, not {pixels.shape[1]}")
+    pairs = pixels.reshape(pixels.shape[0], -1, 4)
+    planes = np.empty((*pixels.shape[:2], 3), np.uint8)
+    for first in (0, 1):
+        planes[:, first::2, 0] = pairs[..., y + 2 * first]
+        planes[:, first::2, 1] = pairs[..., u]
+        planes[:, first::2, 2] = pairs[..., v]
+    return PIL.Image.fromarray(planes, "YCbCr")
 
 
 def _half_size(pixels: np.ndarray[Any, Any], colors: str) -> PIL.Image.Image:

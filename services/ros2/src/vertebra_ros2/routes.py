@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 from vertebra.errors import ConfigError
 from vertebra.keys import check_key
+from vertebra.ros2.mapping import Sound
 from vertebra.ros2.names import check_name, check_type
 from vertebra.service.routes import Route
 
@@ -24,6 +25,7 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         depth: How many messages of it; inbound, how many may wait for us, 64 at least.
         retain: Outbound, late joiners get the last `depth` messages (transient_local).
         max_rate_hz: Thins the stream out; 0 carries everything.
+        sound: What the bytes of an inbound `AudioData` are.
     """
 
     ros: str
@@ -33,6 +35,7 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth: int = 10
     retain: bool = False
     max_rate_hz: float = 0.0
+    sound: Sound | None = None
 
     @property
     def claims(self) -> tuple[str, ...]:

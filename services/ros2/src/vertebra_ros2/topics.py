@@ -120,7 +120,7 @@ class InboundTopic:
 
     def to_message(self, record: mapping.Record, type_name: str) -> Message:
         """Return the message that a record is on the backbone; raise `CodecError`."""
-        return mapping.to_message(record, type_name)
+        return mapping.to_message(record, type_name, self.route.sound)
 
     def _stop(self) -> None:
         if self._reader is not None:

@@ -42,12 +42,16 @@ class Face(Struct, frozen=True, kw_only=True):
 
 
 class Faces(Message, frozen=True, kw_only=True):
-    """All faces in one image; an empty tuple says that the backend looked and found none."""
+    """All faces in one image; an empty tuple says that the backend looked and found none.
+
+    `frame_id` is the coordinate frame of the camera, as the image has it.
+    """
 
     faces: tuple[Face, ...]
     image_width: int
     image_height: int
     backend: str = ""
+    frame_id: str = ""
 
 
 class Expression(Struct, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -19,7 +19,10 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typest
 from vertebra.errors import CodecNotFoundError, ConfigError
 
 INTERFACES: Final = Path(__file__).parent / "interfaces"
-"""Standard services and ROS4HRI's messages, which the type store of rosbags does not hold."""
+"""Packages that the type store of rosbags does not hold, or not whole: fields, as of Jazzy.
+
+`audio_common_msgs` 0.4 (ros-drivers), `hri_msgs` 2.3 (ROS4HRI), and services.
+"""
 
 PRIMITIVES: Final = {
     "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8,
@@ -84,6 +87,9 @@ class Types:
     def standard(cls, *folders: Path) -> Self:
         """Return the types of ROS 2 Jazzy, and those in `folders`; reads files.
 
+        Of the packages that we bring (`INTERFACES`), those that a lab has itself are left out:
+        there are others of the same name, such as the `audio_common_msgs` of mgonzs13.
+
         Raises:
             ConfigError: A file is wrong, or says something else than another one.
         """
@@ -91,8 +97,11 @@ class Types:
         store = get_typestore(Stores.ROS2_JAZZY)
         for name, (_, members) in store.fielddefs.items():
             types._add(name, _definition(members), "ROS 2 Jazzy")
-        for folder in (INTERFACES, *folders):
+        jazzy = {name.partition("/")[0] for name in types}
+        for folder in folders:
             types.add_folder(folder)
+        theirs = {name.partition("/")[0] for name in types} - jazzy
+        types.add_folder(INTERFACES, without=theirs)
         return types
 
     def __contains__(self, name: object) -> bool:
@@ -115,8 +124,10 @@ class Types:
                 "msg/, srv/ and action/ in it, where VERTEBRA_ROS2_TYPES points"
             ) from None
 
-    def add_folder(self, folder: Path) -> None:
+    def add_folder(self, folder: Path, *, without: Container[str] = ()) -> None:
         """Add every definition in `<folder>/**/<package>/{msg,srv,action}/`.
+
+        Packages in `without` are left out.
 
         Raises:
             ConfigError: A file is wrong, or says something else than another one.
@@ -126,6 +137,8 @@ class Types:
         for file in sorted(folder.rglob("*.*")):
             kind = file.parent.name
             if kind not in ("msg", "srv", "action") or file.suffix not in (f".{kind}", ".idl"):
+                continue
+            if file.parent.parent.name in without:
                 continue
             text = file.read_text(encoding="utf-8")
             if file.suffix == ".idl":

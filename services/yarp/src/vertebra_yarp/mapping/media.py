@@ -67,8 +67,12 @@ def _pixels(yarp: objects.Image, dtype: str, channels: int) -> Array:
 
 
 def from_image(message: Image) -> objects.Image:
-    """Return an image whose pixels are those of the message, not copied."""
-    code = _PIXEL_CODES[message.pixel_format]
+    """Return an image whose pixels are those of the message, not copied; raise `EncodeError`."""
+    code = _PIXEL_CODES.get(message.pixel_format)
+    if code is None:
+        raise EncodeError(
+            f"YARP has no {message.pixel_format} images; it has {', '.join(_PIXEL_CODES)}"
+        )
     return objects.Image.from_packed(code, message.width, message.height, message.pixels.data)
 
 
