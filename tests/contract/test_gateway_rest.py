@@ -320,7 +320,7 @@ async def test_unknown_names_are_404_and_tell_the_known(
         ("GET", MOVE, 405, "POST"),
         ("POST", "/api/robots/vizzy/head/joints", 405, "GET"),
         ("POST", "/api/robots/vizzy/head/limits", 405, "GET"),
-        ("GET", "/api/robots/vizzy/head/joints/stream", 404, None),
+        ("POST", "/api/robots/vizzy/head/joints/stream", 404, None),
         ("GET", f"{MOVE}/stream", 404, None),
         ("DELETE", MOVE, 405, None),
         ("GET", "/nowhere", 404, None),
@@ -339,7 +339,7 @@ async def test_a_robot_that_is_away_stays_listed_and_answers_503_with_the_reason
     rig.robot.close()
     await rig.wait_online(online=False)
     (robot,) = (await rig.get("/api/robots")).json()
-    assert robot["reason"] == "nobody is present at @vertebra/parts/vizzy/head"
+    assert robot["reason"] == "nobody is present at @vertebra/parts/vizzy/**"
     for path in ("head/joints", "camera/left", "camera/left/stream", "head/limits"):
         response = await rig.get(f"/api/robots/vizzy/{path}")
         assert robot["reason"] in problem(response, 503)["detail"]

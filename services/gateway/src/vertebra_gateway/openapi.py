@@ -210,7 +210,7 @@ def describe(robots: Robots) -> dict[str, Any]:
         for resource in robot.profile.resources:
             path = f"/api/robots/{robot.profile.robot}/{resource.path}"
             paths[path] = {resource.http_method.lower(): _operation(robot, resource, "")}
-            if resource.content_type == "image/jpeg":
+            if resource.kind != "call":
                 paths[f"{path}/stream"] = {"get": _operation(robot, resource, "stream")}
     return {
         "openapi": "3.1.0",
@@ -272,10 +272,15 @@ def _operation(robot: Robot, resource: Resource, leaf: str) -> dict[str, Any]:
 
 def _answer(resource: Resource, leaf: str) -> dict[str, Any]:
     if leaf:
-        content = "multipart/x-mixed-replace"
+        if resource.content_type == "image/jpeg":
+            described, content = "Images (MJPEG)", "multipart/x-mixed-replace"
+            schema = {"type": "string", "format": "binary"}
+        else:
+            described, content = "Values, each the `data` of an event", "text/event-stream"
+            schema = _TEXT
         return {
-            "description": "Images (MJPEG), the newest at the reader's pace",
-            "content": {content: {"schema": {"type": "string", "format": "binary"}}},
+            "description": f"{described}, the newest at the reader's pace",
+            "content": {content: {"schema": schema}},
         }
     if resource.content_type == "image/jpeg":
         return {

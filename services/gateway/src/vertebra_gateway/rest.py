@@ -13,7 +13,7 @@ from vertebra.codec import CodecRegistry
 from vertebra.errors import NotConnectedError
 from vertebra_gateway.bodies import JsonResponse, read_body, read_bytes
 from vertebra_gateway.fleet import Fleet
-from vertebra_gateway.mjpeg import MjpegResponse
+from vertebra_gateway.live import EventsResponse, MjpegResponse
 from vertebra_gateway.problems import ProblemError
 from vertebra_gateway.profile import Resource
 from vertebra_gateway.resources import Robots
@@ -79,9 +79,7 @@ def routes(gateway: Gateway) -> APIRouter:
     async def get_stream(robot: str, path: str) -> Response:
         resource = readable(robot, path)
         if resource.content_type != "image/jpeg":
-            raise ProblemError(
-                404, f"{path!r} has no images; subscribe to {resource.key!r} over WebSocket"
-            )
+            return EventsResponse(streams, resource.key)
         await streams.newest(
             resource.key, "jpeg", max_age_s=IMAGE_MAX_AGE_S, within_s=FIRST_VALUE_WITHIN_S
         )
