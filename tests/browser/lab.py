@@ -12,7 +12,7 @@ from asyncio.subprocess import Process
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import httpx
 import numpy as np
@@ -23,7 +23,7 @@ from vertebra.codec import ENCODING, CodecRegistry
 from vertebra.messages import Array, Box, Face, Faces, Image
 from vertebra.service import MessagePublisher
 from vertebra.testing.ports import free_tcp_port
-from vertebra_gateway.testing import FakeRobot
+from vertebra_gateway.testing import FakeBase, FakeRobot
 
 PROFILES: Final = Path(__file__).parent / "robots"
 WIDTH: Final = 320
@@ -34,6 +34,7 @@ SQUARE_RGB: Final = (250, 200, 20)
 RATE_HZ: Final = 25.0
 RESULT_AFTER_S: Final = 0.03
 START_S: Final = 20.0
+T = TypeVar("T", "Robot", FakeBase)
 
 
 class Gateway:
@@ -176,11 +177,22 @@ class Lab:
     @asynccontextmanager
     async def robot(self) -> AsyncIterator[Robot]:
         """Have a robot here for the length of a block."""
-        bus = await ZenohBus.open(self.router, timeout_s=5)
-        robot = Robot(bus, self._codecs)
-        living = asyncio.create_task(robot.live())
-        try:
+        async with self._living(Robot) as robot:
             yield robot
+
+    @asynccontextmanager
+    async def base(self) -> AsyncIterator[FakeBase]:
+        """Have the base of the robot here for the length of a block."""
+        async with self._living(FakeBase) as base:
+            yield base
+
+    @asynccontextmanager
+    async def _living(self, kind: type[T]) -> AsyncIterator[T]:
+        bus = await ZenohBus.open(self.router, timeout_s=5)
+        one = kind(bus, self._codecs)
+        living = asyncio.create_task(one.live())
+        try:
+            yield one
         finally:
             living.cancel()
             await asyncio.wait([living])

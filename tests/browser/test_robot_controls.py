@@ -92,6 +92,7 @@ async def test_every_call_has_its_control_and_it_works(full_page: Page) -> None:
         "gaze/look_at_pixel",
         "face/express",
         "speaker/play",
+        "base/navigate/goal",
     }
     await expect(page.locator(".joints input[data-joint]")).to_have_count(6)
 

@@ -50,6 +50,11 @@ _SCHEMAS: Final = {
         description=_TEXT,
         online=_FLAG,
         reason={"type": "string", "description": "Why it is not online"},
+        away={
+            "type": "object",
+            "description": "Why parts of it are away, by their path",
+            "additionalProperties": _TEXT,
+        },
         resources=_list_of("Resource"),
     ),
     "Resource": _object(

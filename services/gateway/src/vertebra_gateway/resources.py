@@ -86,6 +86,11 @@ class Robot:
             "description": self.profile.description,
             "online": self.online,
             "reason": self.reason,
+            "away": {
+                part.path: self.away[part.key]
+                for part in self.profile.parts
+                if part.key in self.away
+            },
             "resources": [
                 {
                     "path": resource.path,

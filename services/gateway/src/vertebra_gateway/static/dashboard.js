@@ -1,5 +1,7 @@
 // The dashboard: everything on it is made from what the gateway tells about its robots.
 
+import { Action, ActionCard } from "./actions.js";
+import { BaseCard, progressText, takesPose } from "./base.js";
 import { CameraCard } from "./camera.js";
 import { FormCard } from "./forms.js";
 import { JointsCard, movableFields } from "./joints.js";
@@ -13,6 +15,7 @@ const RATE_OVER = 50;
 const SILENT_AFTER_S = 5;
 const CALL_TIMEOUT_S = 10;
 const FORM_TIMEOUT_S = 30;
+const DRIVE_TIMEOUT_S = 2;
 const MAX_PROBLEMS = 4;
 
 const client = new Vertebra();
@@ -184,6 +187,9 @@ class Robot {
   /** @type {Map<string, any>} */ #cards = new Map();
   /** @type {JointsCard[]} */ #joints = [];
   /** @type {FormCard[]} */ #forms = [];
+  /** @type {BaseCard[]} */ #bases = [];
+  /** By the path of the action. @type {Map<string, Action>} */ #actions = new Map();
+  /** Why calls failed that are buttons, by their path. @type {Map<string, string>} */ #failures = new Map();
 
   /** @param {any} description as the gateway gives it */
   constructor(description) {
@@ -195,6 +201,7 @@ class Robot {
     this.pictures = this.#column();
     this.controls = this.#column();
     this.resources = description.resources;
+    for (const resource of description.resources) this.#findAction(resource);
     for (const resource of description.resources) this.#add(resource);
     this.update(description);
   }
@@ -204,6 +211,17 @@ class Robot {
     column.className = "column";
     this.element.querySelector(".cards").append(column);
     return column;
+  }
+
+  /** An action is where a goal has a result and can be cancelled. */
+  #findAction(resource) {
+    const { path } = resource;
+    const action = path.replace(/\/goal$/, "");
+    const has = (leaf) => this.resources.some((other) => other.path === `${action}/${leaf}`);
+    if (action === path || !has("result") || !has("cancel")) return;
+    const call = (leaf, body, timeoutS = CALL_TIMEOUT_S) =>
+      client.call(this.name, `${action}/${leaf}`, body, { timeoutS });
+    this.#actions.set(action, new Action(call, takesPose(resource) ? progressText : undefined));
   }
 
   #add(resource) {
@@ -222,7 +240,8 @@ class Robot {
   /** Joints that move between limits get sliders, other inputs a form, and no input is a button. */
   #addCall(resource) {
     const hasInput = resource.input?.properties || resource.takes !== "application/json";
-    if (!hasInput) this.#addButton(resource);
+    if (resource.control === "drive") this.#addBase(resource);
+    else if (!hasInput) this.#addButton(resource);
     else if (resource.control === "form" || !movesJoints(resource)) this.#addForm(resource);
     else this.#addJoints(resource);
   }
@@ -232,10 +251,23 @@ class Robot {
       body instanceof Blob
         ? send(resource.url, body, resource.takes)
         : client.call(this.name, resource.path, body, { timeoutS: FORM_TIMEOUT_S });
-    const card = new FormCard(make("form-template"), resource, call);
+    const action = this.#actions.get(resource.path.replace(/\/goal$/, ""));
+    const card = action
+      ? new ActionCard(make("form-template"), resource, action)
+      : new FormCard(make("form-template"), resource, call);
     this.#forms.push(card);
     this.element.querySelector(".forms").append(card.element);
     this.element.querySelector(".forms").hidden = false;
+  }
+
+  /** Its map sends the base to where the first action below it takes poses. */
+  #addBase(resource) {
+    const part = resource.path.replace(/[^/]*$/, "");
+    const goal = this.resources.find((other) => other.path.startsWith(part) && other.path.endsWith("/goal") && takesPose(other));
+    const call = (path, body) => client.call(this.name, path, body, { timeoutS: DRIVE_TIMEOUT_S });
+    const card = new BaseCard(make("base-template"), resource, call, this.#actions.get(goal?.path.replace(/\/goal$/, "")) ?? null);
+    this.#bases.push(card);
+    this.controls.append(card.element);
   }
 
   #addJoints(resource) {
@@ -257,12 +289,7 @@ class Robot {
     const part = resource.path.split("/").slice(0, -1).join(" ");
     button.textContent = verb[0].toUpperCase() + verb.slice(1) + (part && this.#hasOther(resource, verb) ? ` ${part}` : "");
     button.dataset.path = resource.path;
-    if (verb === "stop") {
-      button.className = "stop";
-      const key = document.createElement("kbd");
-      key.textContent = "Esc";
-      button.append(" ", key);
-    }
+    if (verb === "stop") button.className = "stop";
     button.addEventListener("click", () => (verb === "stop" ? this.stop(resource) : this.#call(resource)));
     this.element.querySelector(".actions").append(button);
   }
@@ -273,18 +300,20 @@ class Robot {
   }
 
   async #call(resource) {
-    const notice = this.element.querySelector(".action-error");
+    this.#failures.delete(resource.path);
     try {
       await client.call(this.name, resource.path, {}, { timeoutS: CALL_TIMEOUT_S });
-      notice.hidden = true;
     } catch (error) {
-      notice.textContent = `${resource.path} failed: ${error.message}`;
-      notice.hidden = false;
+      this.#failures.set(resource.path, `${resource.path} failed: ${error.message}`);
     }
+    const notice = this.element.querySelector(".action-error");
+    setText(notice, [...this.#failures.values()].join(" \u00b7 "));
+    notice.hidden = this.#failures.size === 0;
   }
 
   /** Stop, and again after a move that was under way: it may have arrived later. */
   async stop(resource) {
+    for (const card of this.#bases) card.halt();
     const halted = Promise.all(this.#joints.map((card) => card.halt()));
     await this.#call(resource);
     const moves = (await halted).flat();
@@ -312,10 +341,27 @@ class Robot {
         this.#cameraOf(resource)?.faces(sample);
         return this.#cameraOf(resource) !== null;
       case "vertebra/JointState/1":
-        return this.#measure(sample.message);
+        return this.#measure(resource.key, sample.message);
+      case "vertebra/Odometry/1":
+        this.#baseOf(resource)?.odometry(sample);
+        return this.#baseOf(resource) !== null;
+      case "vertebra/LaserScan/1":
+        this.#baseOf(resource)?.scan(sample);
+        return this.#baseOf(resource) !== null;
       default:
-        return false;
+        return this.#feed(resource, sample);
     }
+  }
+
+  /** What is told below a base is about it. */
+  #baseOf(resource) {
+    return this.#bases.find(({ part }) => resource.path.startsWith(`${part}/`)) ?? null;
+  }
+
+  #feed(resource, sample) {
+    const action = resource.path.endsWith("/feedback") && this.#actions.get(resource.path.replace(/\/feedback$/, ""));
+    if (action) action.take(sample);
+    return Boolean(action);
   }
 
   /** Results on an image are published below the key of that image. */
@@ -324,8 +370,10 @@ class Robot {
     return card instanceof CameraCard ? card : null;
   }
 
-  #measure({ names, positions_deg }) {
-    return this.#joints.map((card) => card.measure(names, positions_deg)).some(Boolean);
+  #measure(key, { names, positions_deg }) {
+    const own = this.#joints.filter((card) => card.measure(names, positions_deg));
+    for (const card of own) card.key = key;
+    return own.length > 0;
   }
 
   #readings(resource) {
@@ -356,20 +404,29 @@ class Robot {
     for (const card of this.#forms) {
       card.setLimits(description.resources.find(({ path }) => path === card.path));
     }
+    for (const card of this.#bases) {
+      card.setLimits(description.resources.find(({ path }) => path === card.path));
+    }
     this.#showPresence();
   }
 
   /** The connection changed: what the robot is can only be told while there is one. */
   #showPresence() {
     const connected = client.state === "open";
-    const { online, reason } = this.description;
+    const { online, reason, away: parts } = this.description;
+    const missing = Object.keys(parts).join(", ");
     const chip = this.element.querySelector(".chip");
-    chip.dataset.state = connected ? (online ? "ok" : "error") : "unknown";
-    setText(chip.querySelector(".chip-text"), connected ? (online ? "online" : "offline") : "unknown");
+    chip.dataset.state = connected ? (online ? (missing ? "warning" : "ok") : "error") : "unknown";
+    chip.title = online ? Object.entries(parts).map((part) => part.join(": ")).join("\n") : "";
+    const there = missing ? `online without ${missing}` : "online";
+    setText(chip.querySelector(".chip-text"), connected ? (online ? there : "offline") : "unknown");
     const away = this.element.querySelector(".away");
     away.hidden = !connected || online;
     setText(away, `${this.name} is offline: ${reason}`);
-    for (const card of [...this.#joints, ...this.#forms]) card.enable(connected && online);
+    const reasons = new Map(this.description.resources.map((resource) => [resource.path, resource.reason]));
+    for (const card of [...this.#joints, ...this.#forms, ...this.#bases]) {
+      card.enable(connected && reasons.get(card.path) === "");
+    }
   }
 
   refresh() {
@@ -377,18 +434,22 @@ class Robot {
     for (const stream of this.#streams) {
       const freshness = stream.describe();
       const { key } = stream.resource;
-      this.#cards.get(key)?.refresh(this.#explained(freshness));
+      const explained = this.#explained(stream.resource, freshness);
+      this.#cards.get(key)?.refresh(explained);
       stream.row.refresh(stream, freshness);
-      if (stream.schema === "vertebra/JointState/1") {
-        for (const card of this.#joints) card.refresh(freshness);
-      }
+      for (const card of this.#joints) if (card.key === key) card.refresh(freshness);
+      if (stream.schema === "vertebra/Odometry/1") this.#baseOf(stream.resource)?.refresh(explained);
     }
   }
 
   /** An old picture of a robot that is away says so. */
-  #explained(freshness) {
-    if (freshness.state === "live" || client.state !== "open" || this.description.online) return freshness;
-    return { ...freshness, text: `${freshness.text}. ${this.name} is offline` };
+  #explained({ path }, freshness) {
+    if (freshness.state === "live" || client.state !== "open") return freshness;
+    const { online, away } = this.description;
+    const part = Object.keys(away).find((one) => path.startsWith(`${one}/`));
+    if (online && !part) return freshness;
+    const what = online ? `The ${part} of ${this.name} is away` : `${this.name} is offline`;
+    return { ...freshness, text: `${freshness.text}. ${what}` };
   }
 
   remove() {
@@ -407,6 +468,7 @@ class Robots {
       if (!names.has(name)) this.#remove(name);
     }
     for (const description of descriptions) this.#update(description);
+    this.refresh();
     if (descriptions.length === 0) {
       const empty = document.createElement("p");
       empty.className = "empty";
@@ -417,7 +479,7 @@ class Robots {
 
   #update(description) {
     const { resources, name } = description;
-    const shape = JSON.stringify(resources.map((resource) => ({ ...resource, limits: null })));
+    const shape = JSON.stringify(resources.map((resource) => ({ ...resource, limits: null, reason: null })));
     const known = this.#robots.get(name);
     if (known?.shape === shape) {
       known.robot.update(description);
@@ -437,6 +499,7 @@ class Robots {
 
   refresh() {
     for (const { robot } of this.#robots.values()) robot.refresh();
+    $("#stop").hidden = $("#robots button.stop") === null;
   }
 
   stopAll() {
@@ -530,9 +593,9 @@ function showConnection() {
   const { state } = client;
   document.documentElement.dataset.connection = state;
   const trip = client.clock.round_trip_ms;
-  const live = Number.isNaN(trip) ? "Connected" : `Connected, ${trip.toFixed(1)} ms`;
-  const words = { open: live, connecting: "Connecting", waiting: "Not connected", closed: "Not connected" };
+  const words = { open: "Connected", connecting: "Connecting", waiting: "Not connected", closed: "Not connected" };
   setText($("#link"), words[state]);
+  setText($("#trip"), state === "open" && !Number.isNaN(trip) ? `${trip.toFixed(1)} ms` : "");
 }
 
 /** Whether the gateway is there but will not have us: browsers do not tell a WebSocket why. */
@@ -613,6 +676,7 @@ client.addEventListener("state", (event) => {
   if (lost) explainLoss(event.detail.reason);
   if (lost || event.detail.state === "open") $("#reason").hidden = !lost;
 });
+$("#stop").addEventListener("click", () => robots.stopAll());
 document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && !event.repeat) robots.stopAll();
 });

@@ -58,6 +58,14 @@ function field(name, schema, limits) {
     return { element, read };
   }
   const title = name.replaceAll("_", " ");
+  if (schema.type === "object" && schema.properties) {
+    const inside = fieldsOf(schema.properties, limits);
+    const element = document.createElement("fieldset");
+    const legend = document.createElement("legend");
+    legend.textContent = title;
+    element.append(legend, ...Object.values(inside).map((one) => one.element));
+    return { element, read: () => valuesOf(inside) };
+  }
   if (schema.type === "array") {
     const controls = Array.from({ length: schema.minItems ?? 1 }, () => number(schema.items ?? {}));
     const read = () => (controls.every(({ value }) => value !== "") ? controls.map((control) => control.valueAsNumber) : undefined);
@@ -68,9 +76,23 @@ function field(name, schema, limits) {
   if (options) control = choice(options, schema.default);
   else if (schema.type === "boolean") Object.assign(control, { type: "checkbox", checked: schema.default ?? false });
   else if (schema.type === "number" || schema.type === "integer") control = number(schema);
+  else if (schema.default !== undefined) control.value = schema.default;
   const element = row(title, "", [control]);
   if (schema.description) element.title = schema.description;
   return { element, read: () => valueOf(control) };
+}
+
+function fieldsOf(properties, limits) {
+  return Object.fromEntries(
+    Object.entries(properties).map(([name, schema]) => [name, field(name, schema, limits?.[name])]),
+  );
+}
+
+/** What was filled in; undefined if nothing was. */
+function valuesOf(fields) {
+  const read = Object.entries(fields).map(([name, { read }]) => [name, read()]);
+  const given = read.filter(([, value]) => value !== undefined);
+  return given.length ? Object.fromEntries(given) : undefined;
 }
 
 /** A call that folds out to a form; its answer is what the robot did. */
@@ -109,17 +131,13 @@ export class FormCard {
       file.setAttribute("aria-label", "sound");
       this.fields = { file: { element: file, read: () => file.files[0] } };
     } else {
-      const properties = Object.entries(resource.input?.properties ?? {});
-      this.fields = Object.fromEntries(
-        properties.map(([name, schema]) => [name, field(name, schema, resource.limits?.[name])]),
-      );
+      this.fields = fieldsOf(resource.input?.properties ?? {}, resource.limits);
     }
     this.form.querySelector(".fields").replaceChildren(...Object.values(this.fields).map(({ element }) => element));
   }
 
   async #send() {
-    const read = Object.entries(this.fields).map(([name, { read }]) => [name, read()]);
-    const body = Object.fromEntries(read.filter(([, value]) => value !== undefined));
+    const body = valuesOf(this.fields) ?? {};
     this.#show("pending", "...");
     try {
       const answer = await this.call(body.file instanceof Blob ? body.file : body);
