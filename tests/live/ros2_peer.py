@@ -418,6 +418,7 @@ def serve_sum(peer: Peer, *, as_fast_dds: bool) -> None:
     say("ready", str(node.guid))
     while not peer.done.wait(0.001):
         for request in peer.take(reader):
+            say("asked", request.a, request.b)
             if request.a >= 0:  # what is negative gets no answer
                 hold(writer, reader)
                 writer.write(AddReply(request.guid, request.seq, request.a + request.b))

@@ -3,42 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import json
 import os
-import random
 import signal
-import sys
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork, Reply, Request
-from vertebra.codec import CodecRegistry
 from vertebra.errors import ConfigError, RemoteError
-from vertebra.messages import Image, JointState, Message, Native, Status, Text
+from vertebra.messages import Image, JointState, Native, Text
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.service import MessagePublisher, MessageReader, Received, run_service
+from vertebra.service import MessagePublisher, run_service
 from vertebra.testing.bus_suite import eventually
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
 
+from .ros2_lab import DOMAINS, Lab, adapter, drain, first, peer
+
 pytestmark = pytest.mark.live
 
-PEER = Path(__file__).with_name("ros2_peer.py")
-DOMAINS = itertools.cycle(random.sample(range(10, 90), 80))
-ON_LOOPBACK = (
-    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery>"
-    "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers>"
-    "</Discovery></Domain></CycloneDDS>"
-)
 ROUTES = """
 topics:
   - {ros: /joint_states, key: robot/joints, depth: 200}
@@ -50,125 +37,12 @@ actions:
 """
 
 
-@dataclass
-class Peer:
-    process: asyncio.subprocess.Process
-    lines: asyncio.Queue[list[Any]]
-    kept: list[list[Any]] = field(default_factory=list)
-
-    async def until(self, *first: Any) -> list[Any]:
-        """Return the next line that begins so; others are kept for later."""
-        async with asyncio.timeout(10):
-            while True:
-                for line in self.kept:
-                    if line[: len(first)] == list(first):
-                        self.kept.remove(line)
-                        return line
-                self.kept.append(await self.lines.get())
-                assert self.kept[-1] != ["ended"]
-
-
-@dataclass
-class Lab:
-    """A running adapter and the backbone it is on."""
-
-    bus: MemoryBus
-    codecs: CodecRegistry
-    domain_id: int
-    service: asyncio.Task[None]
-    routes: Path
-    instance: str = "1"
-
-    def publisher(self, key: str) -> MessagePublisher:
-        return MessagePublisher(self.bus, self.codecs, key)
-
-    def read(self, key: str, wanted: type[Message] = Message) -> MessageReader[Message]:
-        return MessageReader(self.bus.subscribe(key, Delivery.queue(5000)), self.codecs, wanted)
-
-    async def call(self, key: str, document: object, timeout_s: float = 5) -> Any:
-        payload = json.dumps(document).encode()
-        reply = await self.bus.call(key, payload, encoding="application/json", timeout_s=timeout_s)
-        return json.loads(reply.payload)
-
-    async def carried(self) -> dict[str, str]:
-        reply = await self.bus.call("@vertebra/services/ros2/1/info", timeout_s=5)
-        return dict(json.loads(reply.payload)["routes"])
-
-    async def told(self, fits: Callable[[str], bool]) -> str:
-        """Return the first status text that fits."""
-        reader = self.read(f"@vertebra/services/ros2/{self.instance}/status", Status)
-        async with asyncio.timeout(10):
-            async for received in reader:
-                assert isinstance(received.message, Status)
-                if fits(received.message.text):
-                    reader.subscription.close()
-                    return received.message.text
-        raise AssertionError
-
-
-@asynccontextmanager
-async def adapter(
-    network: MemoryNetwork, domain_id: int, routes: Path, **settings: Any
-) -> AsyncIterator[Lab]:
-    bus = MemoryBus(network)
-    chosen = Ros2Settings(domain_id=domain_id, routes=routes, **settings)
-    service = asyncio.create_task(run_service("ros2", chosen, serve, bus=MemoryBus(network)))
-    lab = Lab(bus, CodecRegistry(), domain_id, service, routes, chosen.instance)
-    await lab.told(lambda text: "not ready" not in text)
-    try:
-        yield lab
-    finally:
-        service.cancel()
-        await asyncio.wait([service], timeout=5)
-        await bus.close()
-        assert service.done()
-
-
 @pytest.fixture
 async def lab(tmp_path: Path) -> AsyncIterator[Lab]:
     routes = tmp_path / "routes.yaml"
     await asyncio.to_thread(routes.write_text, ROUTES)
     async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
         yield lab
-
-
-@asynccontextmanager
-async def peer(lab: Lab, *role: str) -> AsyncIterator[Peer]:
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, str(PEER), *role,
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-        env={**os.environ, "ROS_DOMAIN_ID": str(lab.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK},
-    )  # fmt: skip
-    lines: asyncio.Queue[list[Any]] = asyncio.Queue()
-
-    async def read() -> None:
-        assert process.stdout is not None
-        async for line in process.stdout:
-            lines.put_nowait(json.loads(line))
-        lines.put_nowait(["ended"])
-
-    reading = asyncio.create_task(read())
-    try:
-        yield Peer(process, lines)
-    finally:
-        assert process.stdin is not None
-        process.stdin.close()
-        try:
-            await asyncio.wait_for(process.wait(), 5)
-        except TimeoutError:
-            process.kill()
-            await process.wait()
-        await reading
-
-
-async def first(reader: MessageReader[Message]) -> Received[Message]:
-    async with asyncio.timeout(10):
-        return await anext(aiter(reader))
-
-
-def drain(reader: MessageReader[Message]) -> None:
-    while reader.subscription.take() is not None:
-        pass
 
 
 def replace_routes(lab: Lab, text: str) -> None:
@@ -183,7 +57,7 @@ async def test_topic_arrives_with_its_origin(lab: Lab) -> None:
         received = await first(reader)
     assert isinstance(received.message, Text)
     assert received.message.text.startswith("hello ")
-    assert received.header.origin == "ros2:/chatter"
+    assert received.header.origin == f"ros2:{lab.domain_id}:/chatter"
     assert received.header.hops == 1
     assert abs(time.time_ns() - received.header.captured_ns) < 10e9
 
@@ -346,7 +220,9 @@ async def test_what_came_from_ros_does_not_go_back(tmp_path: Path) -> None:
         peer(lab, "listen") as listener,
     ):
         await listener.until("ready")
-        echo = MessagePublisher(lab.bus, lab.codecs, "robot/words", origin="ros2:/other")
+        echo = MessagePublisher(
+            lab.bus, lab.codecs, "robot/words", origin=f"ros2:{lab.domain_id}:/other"
+        )
         own = lab.publisher("robot/words")
 
         async def speak() -> None:

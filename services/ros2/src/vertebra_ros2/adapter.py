@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Mapping, Sequence
 from typing import Final
 
-from vertebra.bus import Closeable, Reply, Request
 from vertebra.errors import CodecError, ConfigError
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import Transport
 from vertebra.ros2.drivers import Participation, open_driver
-from vertebra.ros2.names import MIRROR_PREFIX, key_of, name_of
 from vertebra.service import Context
 from vertebra.service.routes import follow_routes, read_routes
 from vertebra_ros2.action_servers import OutboundAction
 from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.carried import Carried, Kit
+from vertebra_ros2.mirror import Mirror
 from vertebra_ros2.routes import KINDS, Action, AnyRoute, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
+from vertebra_ros2.turns import Claim, Turns
 
 log = logging.getLogger(__name__)
 
 LOOK_EVERY_S: Final = 2.0
 LOOK_AT_MOST_EVERY_S: Final = 0.05
+FIND_WITHIN_S: Final = 5.0
+"""So long two participants of one ROS domain take at most to find each other."""
 
 
 async def serve(context: Context[Ros2Settings]) -> None:
@@ -43,10 +47,11 @@ async def serve(context: Context[Ros2Settings]) -> None:
     async with open_driver(settings.driver, part, types) as transport:
         adapter = Adapter(context, transport, types)
         try:
-            await adapter.carry(read_routes(settings.routes, KINDS))
-            context.ready()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(_end_with(transport))
+                tasks.create_task(adapter.follow_turns())
+                await adapter.carry(read_routes(settings.routes, KINDS))
+                context.ready()
                 tasks.create_task(adapter.follow_graph())
                 if settings.routes is not None:
                     tasks.create_task(follow_routes(context, settings.routes, KINDS, adapter.carry))
@@ -66,36 +71,60 @@ class Adapter:
         self._kit = Kit(context, transport, types)
         self._graph = transport.graph
         self._clients = Clients(self._kit)
+        self._wanted: tuple[AnyRoute, ...] = ()
         self._explicit: dict[AnyRoute, Carried] = {}
-        self._mirrored: dict[str, InboundTopic] = {}
         self._changed = asyncio.Event()
         transport.on_graph(self._changed.set)
-        self._served_mirror: Closeable | None = None
-        if context.settings.automatic:
-            self._served_mirror = context.bus.serve(f"{MIRROR_PREFIX}/**", self._call_mirrored)
+        self._apart_since_s = math.inf
+        settings = context.settings
+        self._turns = Turns(
+            context.bus, settings.domain_id, transport.participant, self._changed.set
+        )
+        self._mirror = Mirror(self._kit, self._clients, self._turns) if settings.automatic else None
+
+    async def follow_turns(self) -> None:
+        """Hear of other adapters; runs until cancelled."""
+        await self._turns.follow()
 
     async def carry(self, wanted: Sequence[AnyRoute]) -> None:
-        """Carry exactly these explicit routes: those that stay are not touched.
+        """Carry exactly these explicit routes, as far as no other adapter of this domain does.
 
         Raises:
             ConfigError: A route names a type that is not known.
         """
-        for route in [route for route in self._explicit if route not in wanted]:
-            await self._explicit.pop(route).close()
-            self.context.routes.pop(route.ros, None)
         for route in wanted:
-            if route in self._explicit:
-                continue
-            mirrored = self._mirrored.pop(route.ros, None)
-            if mirrored is not None:
-                await mirrored.close()
             try:
-                self._explicit[route] = self._make(route)
+                for name in route.needs:
+                    self._kit.types.definition(name)
             except CodecError as error:
                 raise ConfigError(f"the route of {route.ros}: {error}") from error
+        works = list(map(self._work, wanted))
+        if self._mirror is not None:
+            works.append(self._mirror.work)
+        self._wanted = tuple(wanted)
+        await self._turns.claim(works)
+        await self._take_turns()
+
+    def _work(self, route: AnyRoute) -> str:
+        return f"{' and '.join(route.claims)} in domain {self.context.settings.domain_id}"
+
+    async def _take_turns(self) -> None:
+        """Begin the explicit routes that are ours now and end those that are not."""
+        others = self._turns.others()
+        self._graph.ignore(others)
+        self._tell_apart(others)
+        ours = [route for route in self._wanted if self._turns.is_ours(self._work(route))]
+        for route in [route for route in self._explicit if route not in ours]:
+            await self._explicit.pop(route).close()
+            self.context.routes.pop(route.ros, None)
+        for route in ours:
+            if route in self._explicit:
+                continue
+            if self._mirror is not None:
+                await self._mirror.drop(route.ros)
+            self._explicit[route] = self._make(route)
             self.context.routes[route.ros] = route.key
             log.info("route %s <-> %s", route.ros, route.key)
-        self._changed.set()
 
     def _make(self, route: AnyRoute) -> Carried:
         if isinstance(route, Topic):
@@ -124,10 +153,11 @@ class Adapter:
                 self._changed.clear()
 
     async def _look(self) -> None:
-        if self.context.settings.automatic:
-            await self._mirror()
+        await self._take_turns()
+        if self._mirror is not None:
+            await self._mirror.look({one.ros for one in self._wanted if isinstance(one, Topic)})
         self._clients.look()
-        for carried in [*self._explicit.values(), *self._mirrored.values()]:
+        for carried in self._explicit.values():
             carried.look()
         problems = {
             name: service.problem
@@ -140,26 +170,29 @@ class Adapter:
             text = f"{len(problems)} cannot be called, among them {name}: {problem}"
         self._kit.report("ROS services", text)
 
-    async def _mirror(self) -> None:
-        claimed = {route.ros for route in self._explicit if isinstance(route, Topic)}
-        wanted = {
-            name for name in self._graph.topics() if self._graph.writers(name)
-        } - claimed  # fmt: skip
-        for name in self._mirrored.keys() - wanted:
-            await self._mirrored.pop(name).close()
-            self.context.routes.pop(name, None)
-        for name in wanted - self._mirrored.keys():
-            route = Topic(ros=name, key=key_of(name))
-            self._mirrored[name] = InboundTopic(self._kit, route)
-            self.context.routes[name] = route.key
-
-    async def _call_mirrored(self, request: Request) -> Reply:
-        return await self._clients.call(name_of(request.key), "", request)
+    def _tell_apart(self, others: Mapping[bytes, Claim]) -> None:
+        """Tell if an adapter says that it is in our domain, and is not."""
+        domain_id = self.context.settings.domain_id
+        apart = [
+            participant
+            for participant, claim in others.items()
+            if claim.domain_id == domain_id and not self._graph.knows(participant)
+        ]
+        now_s = time.monotonic()
+        self._apart_since_s = min(self._apart_since_s, now_s) if apart else math.inf
+        problem = ""
+        if now_s > self._apart_since_s + FIND_WITHIN_S:
+            problem = (
+                f"another adapter is in domain {domain_id} as well, but not in our ROS network; "
+                "what both could carry, only one does. Give one network another domain id"
+            )
+        self._kit.report("other adapters", problem)
 
     async def close(self) -> None:
         """End all routes."""
-        if self._served_mirror is not None:
-            self._served_mirror.close()
-        for carried in [*self._explicit.values(), *self._mirrored.values()]:
+        if self._mirror is not None:
+            await self._mirror.close()
+        for carried in self._explicit.values():
             await carried.close()
         self._clients.close()
+        self._turns.close()

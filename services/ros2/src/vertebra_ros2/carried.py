@@ -16,13 +16,18 @@ from vertebra_ros2.settings import Ros2Settings
 
 
 class Kit:
-    """What every route has at hand."""
+    """What every route has at hand.
+
+    Attributes:
+        origin: Begins the origin of every message that came from this ROS domain.
+    """
 
     def __init__(self, context: Context[Ros2Settings], transport: Transport, types: Types) -> None:
         self.context = context
         self.transport = transport
         self.types = types
         self.cdr = Cdr(types)
+        self.origin = f"ros2:{context.settings.domain_id}:"
         self.refused = context.counter("ros2_refused", "Messages that could not be read or mapped")
         self.dropped = context.counter("ros2_dropped", "Messages that came faster than we read")
         self.messages = Counter(

@@ -46,6 +46,11 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         ends = (f"the ROS topic {self.ros}", f"the key {check_key(self.key)}")
         return tuple(f"{end} ({self.direction})" for end in ends)
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Types that have to be known, because nobody else says what they are."""
+        return (self.type,) if self.direction == "outbound" else ()
+
 
 class Service(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Calls one way: a ROS service that is called by its key, or a key called through ROS.
@@ -69,6 +74,12 @@ class Service(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         _check(self.ros, self.type, "srv", needs_type=self.direction == "outbound")
         ends = (f"the ROS service {self.ros}", f"the key {check_key(self.key)}")
         return tuple(f"{end} ({self.direction})" for end in ends)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Types that have to be known, because nobody else says what they are."""
+        ours = self.type if self.direction == "outbound" else ""
+        return (f"{ours}_Request", f"{ours}_Response") if ours else ()
 
 
 class Action(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -95,6 +106,11 @@ class Action(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         _check(self.ros, self.type, "action", needs_type=self.direction == "outbound")
         ends = (f"the ROS action {self.ros}", f"the key {check_key(self.key)}")
         return tuple(f"{end} ({self.direction})" for end in ends)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Types that have to be known, because nobody else says what they are."""
+        return (f"{self.type}_Goal",) if self.direction == "outbound" else ()
 
 
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:

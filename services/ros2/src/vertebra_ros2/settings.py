@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from pydantic_settings import SettingsConfigDict
 
+from vertebra.keys import check_key
 from vertebra.ros2.drivers import DriverName
 from vertebra.service import ServiceSettings
 
@@ -33,5 +34,15 @@ class Ros2Settings(ServiceSettings):
     )
     routes: Path | None = Field(None, description="YAML file with the explicit routes.")
     automatic: bool = Field(
-        default=True, description="Show every topic and service without a route below `ros2/`."
+        default=True, description="Show every topic and service without a route below `mirror`."
     )
+    mirror: str = Field(
+        "ros2", description="Where that is; two ROS domains on one backbone need two places."
+    )
+
+    @field_validator("mirror")
+    @classmethod
+    def _is_key(cls, mirror: str) -> str:
+        if mirror.startswith("@"):
+            raise ValueError("what begins with '@' is for control")
+        return check_key(mirror)

@@ -18,8 +18,6 @@ from vertebra_ros2.routes import Topic
 
 CDR_ENCODING: Final = "application/cdr"
 """Payloads as they are on ROS; behind `;` stands their ROS type."""
-ORIGIN: Final = "ros2:"
-"""Begins the origin of every message that came from ROS."""
 LEAST_WAITING: Final = 64
 """So many messages of a topic may wait for us at least; those that are too many are counted."""
 _BULK: Final = frozenset(
@@ -80,7 +78,8 @@ class InboundTopic:
         if type_name not in self.kit.types:
             encoding = f"{CDR_ENCODING};{type_name}"
             return context.bus.publisher(key, encoding=encoding, priority=priority)
-        return context.publisher(key, priority=priority, origin=f"{ORIGIN}{self.route.ros}")
+        origin = f"{self.kit.origin}{self.route.ros}"
+        return context.publisher(key, priority=priority, origin=origin)
 
     def _watch(self) -> None:
         """Tell what DDS says of the reader."""
@@ -205,7 +204,7 @@ class OutboundTopic:
             self.kit.cdr.decode(sample.payload, self.route.type)
             return sample.payload
         message, header = self.kit.context.codecs.decode(sample.payload, sample.encoding)
-        if header.origin.startswith(ORIGIN):
+        if header.origin.startswith(self.kit.origin):
             return None
         stamp_ns = header.captured_ns or sample.sent_ns or time.time_ns()
         record = mapping.to_record(message, self.route.type, stamp_ns)

@@ -91,6 +91,11 @@ class Transport(Protocol):
         """Ends with the error that stopped the driver."""
         ...
 
+    @property
+    def participant(self) -> bytes:
+        """What the gids of our endpoints begin with; empty if they have nothing in common."""
+        ...
+
     def on_graph(self, changed: Callable[[], None]) -> None:
         """Call `changed` after each change of the graph."""
         ...

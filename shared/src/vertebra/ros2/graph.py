@@ -7,7 +7,7 @@ type and, at services, who belongs together. The names of nodes come by a topic 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, Literal
 
 from msgspec import Struct
@@ -115,9 +115,14 @@ def nodes_of(record: Mapping[str, Any]) -> tuple[bytes, dict[str, frozenset[byte
 
 
 class Graph:
-    """Everything of other participants that is known now."""
+    """Everything of other participants that is known now.
+
+    Attributes:
+        ignored: Beginnings of gids whose endpoints are as little shown as our own.
+    """
 
     def __init__(self) -> None:
+        self.ignored: tuple[bytes, ...] = ()
         self._endpoints: dict[bytes, Endpoint] = {}
         self._by_place: dict[_Place, dict[bytes, Endpoint]] = {}
         self._nodes: dict[bytes, Mapping[str, frozenset[bytes]]] = {}
@@ -138,6 +143,14 @@ class Graph:
         if not at_place:
             del self._by_place[_place(known)]
         return True
+
+    def ignore(self, participants: Iterable[bytes]) -> None:
+        """Show nothing of these participants from now on, but of all others."""
+        self.ignored = tuple(participants)
+
+    def knows(self, participant: bytes) -> bool:
+        """Say whether a participant is there, ignored or not."""
+        return any(gid.startswith(participant) for gid in self._nodes)
 
     def set_nodes(self, participant: bytes, nodes: Mapping[str, frozenset[bytes]]) -> None:
         """Note which endpoints the nodes of a participant have, by their full names."""
@@ -171,8 +184,9 @@ class Graph:
         """Return the types of each topic; one that has more than one is nobody's to read."""
         found: dict[str, set[str]] = {}
         for (_, role, name), endpoints in self._by_place.items():
-            if role == "topic":
-                found.setdefault(name, set()).update(one.type for one in endpoints.values())
+            shown = [one for gid, one in endpoints.items() if not gid.startswith(self.ignored)]
+            if role == "topic" and shown:
+                found.setdefault(name, set()).update(one.type for one in shown)
         return {name: frozenset(types) for name, types in sorted(found.items())}
 
     def services(self) -> dict[str, Service]:
@@ -195,7 +209,8 @@ class Graph:
         )
 
     def _find(self, kind: Literal["writer", "reader"], role: Role, name: str) -> list[Endpoint]:
-        return list(self._by_place.get((kind, role, name), {}).values())
+        found = self._by_place.get((kind, role, name), {})
+        return [one for gid, one in found.items() if not gid.startswith(self.ignored)]
 
 
 def _place(endpoint: Endpoint) -> _Place:

@@ -13,7 +13,6 @@ from typing import Final, Literal, NamedTuple
 from vertebra.errors import NameMappingError
 from vertebra.keys import map_name, unmap_name
 
-MIRROR_PREFIX: Final = "ros2"
 MAX_NAME: Final = 247
 """DDS names have at most 255 characters; ROS keeps 8 of them for its prefix and suffix."""
 DISCOVERY_TOPIC: Final = "ros_discovery_info"
@@ -87,11 +86,11 @@ def ros_type(name: str) -> str | None:
     return "/".join(match.groups()) if match else None
 
 
-def key_of(name: str) -> str:
-    """Return the key below `ros2/` of a ROS name."""
-    return map_name(MIRROR_PREFIX, check_name(name))
+def key_of(name: str, mirror: str = "ros2") -> str:
+    """Return the key of a ROS name below that of the mirror."""
+    return map_name(mirror, check_name(name))
 
 
-def name_of(key: str) -> str:
-    """Return the ROS name behind a key below `ros2/`; raise `NameMappingError`."""
-    return check_name(unmap_name(MIRROR_PREFIX, key))
+def name_of(key: str, mirror: str = "ros2") -> str:
+    """Return the ROS name behind a key of the mirror; raise `NameMappingError`."""
+    return check_name(unmap_name(mirror, key))

@@ -62,13 +62,18 @@ class DdsTransport:
         """Ends with the error that stopped DDS."""
         return self._dds.failed
 
+    @property
+    def participant(self) -> bytes:
+        """What the gids of our endpoints begin with."""
+        return self._dds.gid[:_PARTICIPANT_BYTES]
+
     def on_graph(self, changed: Callable[[], None]) -> None:
         """Call `changed` after each change of the graph."""
         self._changed.append(changed)
 
     def reader(self, name: str, type_name: str, qos: Qos, on_payload: OnPayload) -> TopicReader:
         """Read a topic."""
-        return TopicReader(self._dds, name, type_name, qos, on_payload)
+        return TopicReader(self._dds, self.graph, name, type_name, qos, on_payload=on_payload)
 
     def writer(self, name: str, type_name: str, qos: Qos) -> TopicWriter:
         """Write a topic."""
@@ -102,7 +107,7 @@ class DdsTransport:
 
     def _endpoint_came(self, sample: Any, kind: Literal["writer", "reader"]) -> None:
         gid = sample.key.bytes
-        if gid[:_PARTICIPANT_BYTES] == self._dds.gid[:_PARTICIPANT_BYTES]:
+        if gid.startswith(self.participant):
             return
         if sample.sample_info.instance_state != InstanceState.Alive:
             if self.graph.remove(gid):
@@ -160,9 +165,18 @@ class TopicReader:
     """See `driver.Reader`."""
 
     def __init__(
-        self, dds: Participant, name: str, type_name: str, qos: Qos, on_payload: OnPayload
+        self,
+        dds: Participant,
+        graph: Graph,
+        name: str,
+        type_name: str,
+        qos: Qos,
+        *,
+        on_payload: OnPayload,
     ) -> None:
         self._dds = dds
+        self._graph = graph
+        self._gids: dict[int, bytes] = {}
         self._on_payload = on_payload
         self._closed = False
         self._reader = dds.make_reader(dds_name("topic", name), type_name, qos)
@@ -183,8 +197,16 @@ class TopicReader:
         return mismatch_of(self._reader.get_requested_incompatible_qos_status())
 
     def _came(self, sample: Raw) -> None:
-        if not self._closed:
+        if not self._closed and not self._is_ignored(sample.sample_info.publication_handle):
             self._on_payload(sample.payload, sample.sample_info.source_timestamp)
+
+    def _is_ignored(self, writer: int) -> bool:
+        """Say whether a sample is of ourselves, or of a participant that the graph ignores."""
+        if writer not in self._gids:
+            known = self._reader.get_matched_publication_data(writer)
+            self._gids[writer] = known.key.bytes if known is not None else b""
+        gid = self._gids[writer]
+        return gid.startswith((self._dds.gid[:_PARTICIPANT_BYTES], *self._graph.ignored))
 
     def close(self) -> None:
         """End it."""
