@@ -337,13 +337,13 @@ class Peer:
         return [one for one in reader.take(100) if one.sample_info.valid_data]
 
 
-def talk(peer: Peer, settings: Qos) -> None:
+def talk(peer: Peer, settings: Qos, word: str = "hello") -> None:
     writer = peer.write("rt/chatter", String, settings)
     node = peer.announce()
     say("ready", str(node.guid))
     number = 0
     while not peer.done.wait(0.02):
-        writer.write(String(f"hello {number}"))
+        writer.write(String(f"{word} {number}"))
         number += 1
 
 
@@ -363,8 +363,8 @@ def strange(peer: Peer, sample: Any) -> None:
         writer.write(sample)
 
 
-def listen(peer: Peer, settings: Qos) -> None:
-    reader = peer.read("rt/chatter", String, settings)
+def listen(peer: Peer, settings: Qos, topic: str = "/chatter") -> None:
+    reader = peer.read(f"rt{topic}", String, settings)
     node = peer.announce()
     say("ready", str(node.guid))
     while not peer.done.wait(0.005):
@@ -646,7 +646,7 @@ def main() -> None:
     peer = Peer(role)
     said = f"typehash={STRING_HASH};"
     if role == "talk":
-        talk(peer, qos(said))
+        talk(peer, qos(said), *arguments)
     elif role == "talk_best_effort":
         talk(peer, qos(said, reliable=False))
     elif role == "talk_other_hash":
@@ -658,9 +658,9 @@ def main() -> None:
     elif role == "strange_typed":
         strange(peer, Strange(1, 2))
     elif role == "listen":
-        listen(peer, qos(said))
+        listen(peer, qos(said), *arguments)
     elif role == "listen_latched":
-        listen(peer, qos(said, latched=True, depth=1))
+        listen(peer, qos(said, latched=True, depth=1), *arguments)
     elif role == "joints":
         joints(peer, int(arguments[0]), float(arguments[1]))
     elif role == "images":

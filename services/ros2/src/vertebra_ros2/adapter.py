@@ -98,10 +98,12 @@ class Adapter:
                     self._kit.types.definition(name)
             except CodecError as error:
                 raise ConfigError(f"the route of {route.ros}: {error}") from error
+        self._wanted = tuple(wanted)
         works = list(map(self._work, wanted))
         if self._mirror is not None:
             works.append(self._mirror.work)
-        self._wanted = tuple(wanted)
+            for route in wanted:
+                await self._mirror.drop(route.ros)
         await self._turns.claim(works)
         await self._take_turns()
 
@@ -120,8 +122,6 @@ class Adapter:
         for route in ours:
             if route in self._explicit:
                 continue
-            if self._mirror is not None:
-                await self._mirror.drop(route.ros)
             self._explicit[route] = self._make(route)
             self.context.routes[route.ros] = route.key
             log.info("route %s <-> %s", route.ros, route.key)
