@@ -25,7 +25,7 @@ CONFIGURATION: Final[dict[str, Any]] = tomllib.loads(
 
 WHERE: Final = {
     # the backbone
-    "zenoh": ["shared/src/vertebra/bus/*"],
+    "zenoh": ["shared/src/vertebra/bus/*", "shared/src/vertebra/ros2/rmw_zenoh/*"],
     # models
     "ai_edge_litert": ["services/*/model.py"],
     "onnxruntime": ["services/*/model.py"],
@@ -59,6 +59,7 @@ PURE: Final = {
     "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
     "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/mapping/*.py",
     "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py",
+    "shared/src/vertebra/ros2/rmw_zenoh/wire.py",
     "shared/src/vertebra/yarp/protocol/*.py", "shared/src/vertebra/yarp/objects/*.py",
     "shared/src/vertebra/yarp/ports/incoming.py",
     "plugins/*.py",

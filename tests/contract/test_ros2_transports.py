@@ -10,10 +10,31 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from vertebra.bus.router import running_router
 from vertebra.ros2.drivers import Participation
+from vertebra.testing.ports import free_tcp_port
 from vertebra.testing.ros2_suite import TransportSuite
 
 DOMAINS = itertools.cycle(random.sample(range(20, 30), 10))
+
+
+class TestRmwZenoh(TransportSuite):
+    """Two sessions that are clients of one router."""
+
+    driver = "rmw_zenoh"
+    library = "zenoh"
+    remedy = "pip install eclipse-zenoh"
+    compares_qos = False
+    confirms = False
+
+    @asynccontextmanager
+    async def places(self) -> AsyncIterator[tuple[Participation, Participation]]:
+        locator = f"tcp/127.0.0.1:{free_tcp_port()}"
+        with running_router([locator]):
+            yield (
+                Participation(node="here", namespace="/suite", router=locator),
+                Participation(node="there", namespace="/suite", router=locator),
+            )
 
 
 class TestDds(TransportSuite):

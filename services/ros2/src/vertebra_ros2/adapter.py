@@ -43,6 +43,7 @@ async def serve(context: Context[Ros2Settings]) -> None:
         namespace=settings.namespace,
         interface="" if settings.interface == "auto" else settings.interface,
         peers=settings.peers,
+        router=settings.zenoh_router or settings.router,
     )
     async with open_driver(settings.driver, part, types) as transport:
         adapter = Adapter(context, transport, types)

@@ -18,7 +18,8 @@ class Ros2Settings(ServiceSettings):
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_ROS2_")
 
     driver: DriverName = Field(
-        "dds", description="'dds' is a DDS participant of our own and needs no ROS."
+        "dds",
+        description="How ROS is reached: 'dds', or 'rmw_zenoh' for nodes that run rmw_zenoh_cpp.",
     )
     domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
     node: str = Field("vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_]\w*$")
@@ -28,6 +29,10 @@ class Ros2Settings(ServiceSettings):
     )
     peers: tuple[str, ...] = Field(
         (), description="Hosts to look for where there is no multicast, as a JSON list."
+    )
+    zenoh_router: str = Field(
+        "",
+        description="Router of the ROS nodes, for 'rmw_zenoh'; empty for the fleet's own.",
     )
     types: tuple[Path, ...] = Field(
         (), description="Folders of ROS packages with .msg, .srv, .action, .idl, as a JSON list."

@@ -14,10 +14,11 @@ from vertebra.bus.interface import (
     Reply,
     Request,
 )
+from vertebra.bus.links import DEFAULT_ROUTER
 from vertebra.bus.memory_bus import MemoryBus, MemoryNetwork
 from vertebra.bus.sample import Delivery, Sample
 from vertebra.bus.subscription import Subscription
-from vertebra.bus.zenoh_bus import DEFAULT_ROUTER, ZenohBus
+from vertebra.bus.zenoh_bus import ZenohBus
 
 __all__ = [
     "DEFAULT_ROUTER",

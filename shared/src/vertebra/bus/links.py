@@ -2,7 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Mapping
 from typing import Any, Final
+
+import zenoh
+
+from vertebra.errors import ConfigError, DeadlineError
+
+log = logging.getLogger(__name__)
+
+DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
+_OPEN_ATTEMPT_MS: Final = 1000
 
 LINK_SETTINGS: Final[dict[str, Any]] = {
     "scouting/multicast/enabled": False,
@@ -22,3 +36,50 @@ LINK_SETTINGS: Final[dict[str, Any]] = {
         "background": 2,
     },
 }
+
+
+async def open_client(
+    router: str, settings: Mapping[str, Any], *, timeout_s: float | None = None
+) -> zenoh.Session:
+    """Open a session that is a client of the router at a Zenoh locator, with `settings` of its own.
+
+    Waits for a router that is not there yet, for ever if `timeout_s` is None, and says so in the
+    log. The session comes back by itself when the router does.
+
+    Raises:
+        ConfigError: `router` is no locator such as `tcp/127.0.0.1:7447`.
+        DeadlineError: No router answered within `timeout_s`.
+    """
+    config = zenoh.Config()
+    try:
+        for path, value in {
+            **LINK_SETTINGS,
+            "mode": "client",
+            "connect/endpoints": [router],
+            "connect/timeout_ms": _OPEN_ATTEMPT_MS,
+            "connect/retry": {
+                "period_init_ms": 100,
+                "period_max_ms": 1000,
+                "period_increase_factor": 1.5,
+            },
+            **settings,
+        }.items():
+            config.insert_json5(path, json.dumps(value))
+    except zenoh.ZError as error:
+        raise ConfigError(
+            f"{router!r} is no Zenoh locator such as {DEFAULT_ROUTER!r}: {error}"
+        ) from error
+    deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+    waiting = False
+    while True:
+        try:
+            return await asyncio.to_thread(zenoh.open, config)
+        except zenoh.ZError as error:
+            if deadline_s is not None and time.monotonic() >= deadline_s:
+                raise DeadlineError(f"a Zenoh router at {router}", timeout_s or 0.0) from error
+            if not waiting:
+                log.warning(
+                    "no Zenoh router answers at %s; waiting for it (is the router service up?)",
+                    router,
+                )
+                waiting = True

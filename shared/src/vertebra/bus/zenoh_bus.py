@@ -1,4 +1,4 @@
-"""The backbone on Eclipse Zenoh; the only module that imports `zenoh`.
+"""The backbone on Eclipse Zenoh.
 
 A session is a client of the router: it comes back by itself when the router does. Zenoh's
 callbacks run in its own threads and hand over to bounded buffers at once.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import struct
 import time
@@ -30,18 +29,16 @@ from vertebra.bus.interface import (
     Reply,
     Request,
 )
-from vertebra.bus.links import LINK_SETTINGS
+from vertebra.bus.links import DEFAULT_ROUTER, open_client
 from vertebra.bus.sample import Delivery, Sample
 from vertebra.bus.shared_memory import SharedMemory
 from vertebra.bus.subscription import Subscription
-from vertebra.errors import ConfigError, DeadlineError, NotConnectedError, RemoteError
+from vertebra.errors import DeadlineError, NotConnectedError, RemoteError
 from vertebra.keys import check_key, check_key_expression
 
 log = logging.getLogger(__name__)
 
-DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 _ATTACHMENT: Final = struct.Struct("<8sQq")  # publisher, its sequence number, sent_ns
-_OPEN_ATTEMPT_MS: Final = 1000
 
 _PRIORITIES: Final = {
     Priority.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -116,28 +113,9 @@ class ZenohBus:
             DeadlineError: No router answered within `timeout_s`.
         """
         pool = await asyncio.to_thread(SharedMemory, enabled=shared_memory)
-        config = zenoh.Config()
-        try:
-            for path, value in {
-                **LINK_SETTINGS,
-                "mode": "client",
-                "connect/endpoints": [router],
-                "connect/timeout_ms": _OPEN_ATTEMPT_MS,
-                "connect/retry": {
-                    "period_init_ms": 100,
-                    "period_max_ms": 1000,
-                    "period_increase_factor": 1.5,
-                },
-                "transport/shared_memory/enabled": pool.available,
-            }.items():
-                config.insert_json5(path, json.dumps(value))
-        except zenoh.ZError as error:
-            raise ConfigError(
-                f"{router!r} is no Zenoh locator such as {DEFAULT_ROUTER!r}: {error}"
-            ) from error
         log.info("shared memory for large payloads is %s", pool.description)
-        session = await _open_session(config, router, timeout_s)
-        return cls(session, pool)
+        settings = {"transport/shared_memory/enabled": pool.available}
+        return cls(await open_client(router, settings, timeout_s=timeout_s), pool)
 
     def check_open(self) -> None:
         """Raise `NotConnectedError` once closed."""
@@ -394,25 +372,6 @@ class ZenohBus:
             declaration.close()
         self._closed = True
         await asyncio.to_thread(self._session.close)
-
-
-async def _open_session(
-    config: zenoh.Config, router: str, timeout_s: float | None
-) -> zenoh.Session:
-    deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-    waiting = False
-    while True:
-        try:
-            return await asyncio.to_thread(zenoh.open, config)
-        except zenoh.ZError as error:
-            if deadline_s is not None and time.monotonic() >= deadline_s:
-                raise DeadlineError(f"a Zenoh router at {router}", timeout_s or 0.0) from error
-            if not waiting:
-                log.warning(
-                    "no Zenoh router answers at %s; waiting for it (is the router service up?)",
-                    router,
-                )
-                waiting = True
 
 
 def _read_encoding(encoding: zenoh.Encoding | None) -> str:

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
+from vertebra.bus import DEFAULT_ROUTER
 from vertebra.errors import ConfigError
 from vertebra.ros2.drivers import DriverName
 from vertebra.service.logs import configure_logs
@@ -59,9 +60,20 @@ def _map(text: str) -> dict[str, Any]:
     return fields
 
 
+def _driver(text: str) -> str:
+    if text not in get_args(DriverName):  # not by `choices`: the default may be faulty as well
+        known = ", ".join(get_args(DriverName))
+        raise argparse.ArgumentTypeError(f"{text!r} is no driver; there are: {known}")
+    return text
+
+
 def _set_run(parser: argparse.ArgumentParser, tool: str) -> None:
     parser.add_argument(
-        "--driver", choices=get_args(DriverName), default="dds", help="default: %(default)s"
+        "--driver",
+        type=_driver,
+        metavar="|".join(get_args(DriverName)),
+        default=os.environ.get("VERTEBRA_ROS2_DRIVER") or "dds",
+        help="how ROS is reached (default: VERTEBRA_ROS2_DRIVER, or dds)",
     )
     parser.add_argument(
         "--domain", type=int, default=None, metavar="N", help="default: ROS_DOMAIN_ID, or 0"
@@ -73,6 +85,15 @@ def _set_run(parser: argparse.ArgumentParser, tool: str) -> None:
     )
     parser.add_argument(
         "--peer", action="append", default=[], metavar="HOST", help="look there without multicast"
+    )
+    parser.add_argument(
+        "--router",
+        default=os.environ.get("VERTEBRA_ROS2_ZENOH_ROUTER")
+        or os.environ.get("VERTEBRA_ROUTER")
+        or DEFAULT_ROUTER,
+        metavar="LOCATOR",
+        help="Zenoh router of the ROS nodes, for the driver rmw_zenoh (default: VERTEBRA_ROUTER, "
+        "or %(default)s)",
     )
     parser.add_argument(
         "--types", action="append", default=[], type=Path, metavar="FOLDER",

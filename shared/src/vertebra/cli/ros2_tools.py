@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
@@ -22,6 +22,7 @@ from vertebra.ros2.qos import Qos, for_reader
 
 _ACTION: Final = "/_action/send_goal"
 _ECHO_DEPTH: Final = 100
+_OPEN_WITHIN_S: Final = 3.0
 T = TypeVar("T")
 
 
@@ -49,8 +50,18 @@ async def _session(arguments: argparse.Namespace) -> AsyncIterator[Session]:
         node="vertebra_tool",
         interface="" if arguments.interface == "auto" else arguments.interface,
         peers=tuple(arguments.peer),
+        router=arguments.router,
     )
-    async with open_driver(arguments.driver, part, types) as transport:
+    async with AsyncExitStack() as stack:
+        try:
+            async with asyncio.timeout(_OPEN_WITHIN_S):
+                driver = open_driver(arguments.driver, part, types)
+                transport = await stack.enter_async_context(driver)
+        except TimeoutError as error:
+            raise NotConnectedError(
+                f"no Zenoh router answers at {arguments.router}; start the fleet with ./vertebra "
+                "up, or name the router of the ROS nodes with --router"
+            ) from error
         yield Session(transport, types, Cdr(types), arguments)
 
 

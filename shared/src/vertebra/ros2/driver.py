@@ -31,7 +31,7 @@ class Reader(Closeable, Protocol):
 
     @property
     def dropped(self) -> int:
-        """Payloads that were let go because the event loop was late."""
+        """Payloads that we were late for, or that never came and whose writers count them."""
         ...
 
     @property
@@ -58,6 +58,8 @@ class Writer(Closeable, Protocol):
 
     async def delivered(self, timeout_s: float) -> None:
         """Wait until all who read the topic reliably have what was written.
+
+        Where readers confirm nothing (`rmw_zenoh`), until the router has it.
 
         Raises:
             DeadlineError: Somebody has not got it in time.

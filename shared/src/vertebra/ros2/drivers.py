@@ -8,10 +8,11 @@ from typing import Literal
 
 from msgspec import Struct
 
+from vertebra.bus import DEFAULT_ROUTER
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import Transport
 
-DriverName = Literal["dds"]
+DriverName = Literal["dds", "rmw_zenoh"]
 
 
 class Participation(Struct, frozen=True, kw_only=True):
@@ -23,6 +24,7 @@ class Participation(Struct, frozen=True, kw_only=True):
         namespace: Of our node.
         interface: Network interface; if this and `peers` are empty, the driver's own way decides.
         peers: Addresses of hosts to look for without multicast.
+        router: Zenoh locator of the router, for `rmw_zenoh`, which needs nothing else.
     """
 
     domain_id: int = 0
@@ -30,6 +32,7 @@ class Participation(Struct, frozen=True, kw_only=True):
     namespace: str = "/"
     interface: str = ""
     peers: tuple[str, ...] = ()
+    router: str = DEFAULT_ROUTER
 
 
 @asynccontextmanager
@@ -46,4 +49,9 @@ async def open_driver(
         from vertebra.ros2.dds.driver import dds_driver  # noqa: PLC0415 - only if chosen
 
         async with dds_driver(part, types) as transport:
+            yield transport
+    else:
+        from vertebra.ros2.rmw_zenoh.driver import rmw_zenoh_driver  # noqa: PLC0415
+
+        async with rmw_zenoh_driver(part, types) as transport:
             yield transport

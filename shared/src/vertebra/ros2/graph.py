@@ -37,7 +37,8 @@ class Endpoint(Struct, frozen=True, kw_only=True):
         qos: What it offers or requests.
         type_hash: What it says its type is; empty if it does not.
         identity: What joins the endpoints of one client or server of rmw_cyclonedds; empty at
-            those of other middleware.
+            those of other middleware on DDS.
+        node: Full name of its node; empty where that is told apart from it, as on DDS.
     """
 
     gid: bytes
@@ -48,6 +49,7 @@ class Endpoint(Struct, frozen=True, kw_only=True):
     qos: Qos
     type_hash: str = ""
     identity: str = ""
+    node: str = ""
 
 
 class Service(Struct, frozen=True, kw_only=True):
@@ -166,6 +168,8 @@ class Graph:
 
     def node_of(self, endpoint: Endpoint) -> str:
         """Return the full name of an endpoint's node; empty if nobody told."""
+        if endpoint.node:
+            return endpoint.node
         for nodes in self._nodes.values():
             for name, gids in nodes.items():
                 if endpoint.gid in gids:
