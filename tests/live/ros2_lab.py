@@ -17,6 +17,7 @@ from typing import Any
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
 from vertebra.codec import CodecRegistry
 from vertebra.messages import Message, Status
+from vertebra.ros2.drivers import Participation
 from vertebra.service import MessagePublisher, MessageReader, Received, run_service
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
@@ -47,6 +48,12 @@ class Peer:
                         return line
                 self.kept.append(await self.lines.get())
                 assert self.kept[-1] != ["ended"]
+
+    def lines_so_far(self) -> list[list[Any]]:
+        """Return all lines that nobody waited for."""
+        while not self.lines.empty():
+            self.kept.append(self.lines.get_nowait())
+        return self.kept
 
 
 @dataclass
@@ -107,11 +114,11 @@ async def adapter(
 
 
 @asynccontextmanager
-async def peer(lab: Lab, *role: str) -> AsyncIterator[Peer]:
+async def peer(place: Lab | Participation, *role: str) -> AsyncIterator[Peer]:
     process = await asyncio.create_subprocess_exec(
         sys.executable, str(PEER), *role,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-        env={**os.environ, "ROS_DOMAIN_ID": str(lab.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK},
+        env={**os.environ, "ROS_DOMAIN_ID": str(place.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK},
     )  # fmt: skip
     lines: asyncio.Queue[list[Any]] = asyncio.Queue()
 

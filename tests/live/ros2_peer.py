@@ -32,10 +32,12 @@ from cyclonedds.util import duration
 if TYPE_CHECKING:
     sequence = Sequence
     Gids = Sequence[int]
+    HumbleGids = Sequence[int]
 else:
     from cyclonedds.idl.types import array, sequence
 
     Gids = array[byte, 16]
+    HumbleGids = array[byte, 24]
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
@@ -117,6 +119,32 @@ class Node(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
 class Nodes(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
     gid: Gid
     node_entities_info_seq: sequence[Node]
+
+
+@dataclass
+class NodesName(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
+    """Nothing but a name, which is what ROS nodes announce of a type."""
+
+    unknown: byte
+
+
+@dataclass
+class HumbleGid(IdlStruct):
+    data: HumbleGids
+
+
+@dataclass
+class HumbleNode(IdlStruct):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[HumbleGid]
+    writer_gid_seq: sequence[HumbleGid]
+
+
+@dataclass
+class HumbleNodes(IdlStruct):
+    gid: HumbleGid
+    node_entities_info_seq: sequence[HumbleNode]
 
 
 ACTION = "example_interfaces.action.dds_.Fibonacci_"
@@ -249,6 +277,19 @@ class Raw:
         return self.payload
 
 
+class RawNodes(Raw):
+    """What is said of nodes, in the form of any release."""
+
+    __idl__ = NodesName.__idl__
+    __idl_typename__ = NodesName.__idl_typename__
+
+    @classmethod
+    def deserialize(cls, payload: bytes) -> Nodes:
+        return Nodes.deserialize(payload)
+
+    deserialize_key = deserialize
+
+
 class RawImage(Raw):
     """The library would go over the pixels one by one."""
 
@@ -318,28 +359,35 @@ class Peer:
         )
         return self.readers[-1]
 
-    def announce(self) -> Any:
+    def announce(self, *, humble: bool = False) -> Any:
         """Be a ROS node, with these endpoints."""
+        gid: Any = HumbleGid if humble else Gid
+        node: Any = HumbleNode if humble else Node
+        nodes: Any = HumbleNodes if humble else Nodes
+        raw: Any = RawNodes
+        said = "" if humble else f"typehash={NODES_HASH};"
         writer = DataWriter(
             self.participant,
-            Topic(self.participant, "ros_discovery_info", Nodes),
-            qos=qos(f"typehash={NODES_HASH};", latched=True, depth=1),
+            Topic(self.participant, "ros_discovery_info", raw),
+            qos=qos(said, latched=True, depth=1),
         )
 
-        def gids(entities: list[Any]) -> list[Gid]:
-            return [Gid(list(entity.guid.bytes)) for entity in entities]
+        def gid_of(entity: Any) -> Any:
+            return gid([*entity.guid.bytes, *bytes(8 if humble else 0)])
 
-        node = Node("/lab", self.name, gids(self.readers), gids(self.writers))
-        writer.write(Nodes(Gid(list(self.participant.guid.bytes)), [node]))
+        own = node(
+            "/lab", self.name, *([*map(gid_of, one)] for one in (self.readers, self.writers))
+        )
+        writer.write(RawNodes(nodes(gid_of(self.participant), [own]).serialize()))
         return writer
 
     def take(self, reader: Any) -> list[Any]:
         return [one for one in reader.take(100) if one.sample_info.valid_data]
 
 
-def talk(peer: Peer, settings: Qos, word: str = "hello") -> None:
+def talk(peer: Peer, settings: Qos, word: str = "hello", *, humble: bool = False) -> None:
     writer = peer.write("rt/chatter", String, settings)
-    node = peer.announce()
+    node = peer.announce(humble=humble)
     say("ready", str(node.guid))
     number = 0
     while not peer.done.wait(0.02):
@@ -596,8 +644,9 @@ def have_parameters(peer: Peer) -> None:
             writer.write(GetParametersReply(request.guid, request.seq, values))
 
 
-def ask_sum(peer: Peer, count: int) -> None:
-    settings = qos(f"clientid=f.2.3.4.5.6.7.8.9.a.b.c.0.0.0.1;typehash={ADD_HASH};")
+def ask_sum(peer: Peer, count: int, *, as_fast_dds: bool = False) -> None:
+    identity = "" if as_fast_dds else "clientid=f.2.3.4.5.6.7.8.9.a.b.c.0.0.0.1;"
+    settings = qos(f"{identity}typehash={ADD_HASH};")
     writer = peer.write("rq/fleet_sumRequest", AddRequest, settings)
     reader = peer.read("rr/fleet_sumReply", AddReply, settings)
     while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
@@ -617,7 +666,7 @@ def ask_sum(peer: Peer, count: int) -> None:
 
 def watch(peer: Peer) -> None:
     """Say what others see of the graph, as `ros2 node info` and `ros2 topic info -v` would."""
-    reader = peer.read("ros_discovery_info", Nodes, qos(latched=True, depth=100))
+    reader = peer.read("ros_discovery_info", RawNodes, qos(latched=True, depth=100))
     endpoints = {
         "writer": BuiltinDataReader(peer.participant, BuiltinTopicDcpsPublication),
         "reader": BuiltinDataReader(peer.participant, BuiltinTopicDcpsSubscription),
@@ -651,6 +700,8 @@ def main() -> None:
         talk(peer, qos(said, reliable=False))
     elif role == "talk_other_hash":
         talk(peer, qos(f"typehash=RIHS01_{'0' * 64};"))
+    elif role == "talk_humble":
+        talk(peer, qos(), humble=True)
     elif role == "latch":
         latch(peer)
     elif role == "strange":
@@ -671,6 +722,8 @@ def main() -> None:
         serve_sum(peer, as_fast_dds=True)
     elif role == "ask_sum":
         ask_sum(peer, int(arguments[0]))
+    elif role == "ask_sum_fast_dds":
+        ask_sum(peer, int(arguments[0]), as_fast_dds=True)
     elif role == "have_parameters":
         have_parameters(peer)
     elif role == "count_up":

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from vertebra.messages import Array
+import pytest
+
+from vertebra.errors import DecodeError
+from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.definitions import Types
 from vertebra.ros2.graph import (
     OTHER_MIDDLEWARE,
     Endpoint,
@@ -13,8 +17,10 @@ from vertebra.ros2.graph import (
     entries_of,
     nodes_of,
 )
+from vertebra.ros2.names import DISCOVERY_TYPE
 from vertebra.ros2.qos import Qos
 
+CDR = Cdr(Types.standard())
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
@@ -110,22 +116,45 @@ def test_endpoint_that_changes_is_known_once() -> None:
 
 
 def test_nodes_come_and_go_with_their_participant() -> None:
-    def of(number: int) -> dict[str, Array]:
-        return {"data": Array(gid(number), "|u1", (16,))}
+    def of(number: int) -> dict[str, bytes]:
+        return {"data": gid(number)}
 
     def node(namespace: str, name: str, *numbers: int) -> dict[str, Any]:
-        return {
-            "node_namespace": namespace,
-            "node_name": name,
-            "reader_gid_seq": [],
-            "writer_gid_seq": [of(number) for number in numbers],
-        }
+        writers = [of(number) for number in numbers]
+        return {"node_namespace": namespace, "node_name": name, "writer_gid_seq": writers}
 
     graph = Graph()
     nodes = [node("/", "talker", 1), node("/lab", "camera", 2)]
-    graph.set_nodes(*nodes_of({"gid": of(9), "node_entities_info_seq": nodes}))
+    record = {"gid": of(9), "node_entities_info_seq": nodes}
+    graph.set_nodes(*nodes_of(CDR.encode(record, DISCOVERY_TYPE), CDR))
     assert graph.nodes() == ["/lab/camera", "/talker"]
     assert graph.node_of(endpoint(2)) == "/lab/camera"
     assert graph.node_of(endpoint(3)) == ""
     graph.remove_participant(gid(9))
     assert graph.nodes() == []
+
+
+HUMBLE = bytes.fromhex(
+    "00010000"  # CDR, little endian
+    "0110a1b2c3d4e5f60718293a000001c1 0000000000000000"  # participant: a GUID, and 8 bytes more
+    "01000000"  # one node
+    "05000000 2f6c616200 000000"  # "/lab"
+    "07000000 74616c6b657200 00"  # "talker"
+    "00000000"  # no readers
+    "01000000"  # one writer
+    "0110a1b2c3d4e5f60718293a00000103 0000000000000000"
+)
+
+
+def test_nodes_of_humble_have_longer_gids() -> None:
+    participant, nodes = nodes_of(HUMBLE, CDR)
+    assert participant == bytes.fromhex("0110a1b2c3d4e5f60718293a000001c1")
+    assert nodes == {"/lab/talker": {bytes.fromhex("0110a1b2c3d4e5f60718293a00000103")}}
+    assert nodes_of(HUMBLE[:28] + bytes(4), CDR) == (participant, {})
+
+
+@pytest.mark.parametrize("end", range(len(HUMBLE)))
+def test_cut_nodes_of_humble_are_refused(end: int) -> None:
+    if end not in range(24, 28):  # what is left is what a later release says of no nodes
+        with pytest.raises(DecodeError):
+            nodes_of(HUMBLE[:end], CDR)

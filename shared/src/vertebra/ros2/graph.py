@@ -8,12 +8,14 @@ type and, at services, who belongs together. The names of nodes come by a topic 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from msgspec import Struct
 
+from vertebra.errors import DecodeError
 from vertebra.messages import Array
-from vertebra.ros2.names import Role, ros_name, ros_type
+from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.names import DISCOVERY_TYPE, DISCOVERY_TYPE_HUMBLE, Role, ros_name, ros_type
 from vertebra.ros2.qos import Qos
 
 OTHER_MIDDLEWARE: Final = (
@@ -21,6 +23,7 @@ OTHER_MIDDLEWARE: Final = (
     "the caller where this driver cannot see it: start that node with "
     "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or set VERTEBRA_ROS2_DRIVER=rclpy here"
 )
+GID_BYTES: Final = 16
 _Place = tuple[Literal["writer", "reader"], Role, str]
 _PARTS: Final[dict[Role, str]] = {"topic": "", "request": "_Request", "reply": "_Response"}
 
@@ -105,8 +108,16 @@ def endpoint_of(
     )
 
 
-def nodes_of(record: Mapping[str, Any]) -> tuple[bytes, dict[str, frozenset[bytes]]]:
-    """Return the participant and its nodes that a `ParticipantEntitiesInfo` tells of."""
+def nodes_of(payload: bytes, cdr: Cdr) -> tuple[bytes, dict[str, frozenset[bytes]]]:
+    """Return the participant and its nodes that a sample of `ros_discovery_info` tells of.
+
+    Raises:
+        DecodeError: It is none, neither of Humble nor of a later release.
+    """
+    try:
+        record = cdr.decode(payload, DISCOVERY_TYPE)
+    except DecodeError:
+        record = cdr.decode(payload, DISCOVERY_TYPE_HUMBLE)
     nodes = {
         f"{node['node_namespace'].rstrip('/')}/{node['node_name']}": frozenset(
             map(_gid, [*node["reader_gid_seq"], *node["writer_gid_seq"]])
@@ -222,4 +233,4 @@ def _place(endpoint: Endpoint) -> _Place:
 
 
 def _gid(record: Mapping[str, Array]) -> bytes:
-    return bytes(record["data"].data)
+    return bytes(record["data"].data)[:GID_BYTES]  # Humble's have 8 more, all zero

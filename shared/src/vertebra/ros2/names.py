@@ -17,6 +17,7 @@ MAX_NAME: Final = 247
 """DDS names have at most 255 characters; ROS keeps 8 of them for its prefix and suffix."""
 DISCOVERY_TOPIC: Final = "ros_discovery_info"
 DISCOVERY_TYPE: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+DISCOVERY_TYPE_HUMBLE: Final = "rmw_dds_common_humble/msg/ParticipantEntitiesInfo"
 
 Role = Literal["topic", "request", "reply"]
 _NAME: Final = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")

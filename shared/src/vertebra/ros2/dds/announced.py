@@ -13,7 +13,7 @@ from cyclonedds.util import duration
 
 from vertebra.errors import CodecNotFoundError
 from vertebra.ros2.definitions import Field, Types
-from vertebra.ros2.names import dds_type
+from vertebra.ros2.names import DISCOVERY_TYPE, dds_type
 from vertebra.ros2.qos import Qos
 
 _BLOCK_AT_MOST: Final = duration(milliseconds=100)
@@ -81,11 +81,13 @@ class RawTypes:
         return self._raw[type_name]
 
     def _announce(self, type_name: str) -> Any:
+        if type_name == DISCOVERY_TYPE:  # Humble's has another form, which DDS would not let pass
+            return _only_name(type_name)
         is_part = type_name.split("/")[1] != "msg" and type_name.endswith(("_Request", "_Response"))
         try:
             return self._struct(type_name, _CALLER if is_part else ())
         except CodecNotFoundError:
-            return _make(type_name, {"unknown": idl.byte})
+            return _only_name(type_name)
 
     def _struct(self, type_name: str, before: tuple[Field, ...] = ()) -> type[IdlStruct]:
         if type_name not in self._announced:
@@ -104,6 +106,10 @@ class RawTypes:
         if field.plural == "array":
             return _ARRAY[one, field.count]
         return _SEQUENCE[one, field.count] if field.count else _SEQUENCE[one]
+
+
+def _only_name(type_name: str) -> type[IdlStruct]:
+    return _make(type_name, {"unknown": idl.byte})
 
 
 def _make(type_name: str, members: dict[str, Any]) -> type[IdlStruct]:

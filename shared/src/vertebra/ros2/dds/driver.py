@@ -131,7 +131,7 @@ class DdsTransport:
             self._tell_changed()
 
     def _nodes_came(self, sample: Raw) -> None:
-        participant, nodes = nodes_of(self._cdr.decode(sample.payload, DISCOVERY_TYPE))
+        participant, nodes = nodes_of(sample.payload, self._cdr)
         if participant != self._dds.gid:
             self.graph.set_nodes(participant, nodes)
             self._tell_changed()
