@@ -142,6 +142,7 @@ def test_token_that_ends_early_is_refused(cut: int) -> None:
     [
         TALKER_KEY.replace("/MP/", "/XX/"),
         TALKER_KEY.replace("@ros2_lv/2/", "@ros2_lv/two/"),
+        TALKER_KEY.replace("8b20917502ee955ac4476e0266340d5c", "someone"),
         TALKER_KEY.replace("dds_::String_", "String"),
         TALKER_KEY.replace("::,7:,:,:,,", "::,x:,:,:,,"),
         TALKER_KEY.replace("::,7:,:,:,,", "nothing"),
@@ -163,7 +164,7 @@ def test_endpoint_of_a_topic() -> None:
     assert (endpoint.kind, endpoint.role, endpoint.name) == ("writer", "topic", "/chatter")
     assert (endpoint.type, endpoint.type_hash) == ("std_msgs/msg/String", STRING_HASH)
     assert (endpoint.qos, endpoint.node) == (Qos(depth=7), "/talker")
-    assert endpoint.gid == wire.gid_of(TALKER_KEY)
+    assert endpoint.gid == bytes.fromhex(TALKER.session) + wire.gid_of(TALKER_KEY)
 
 
 def test_gid_is_the_hash_of_the_token() -> None:

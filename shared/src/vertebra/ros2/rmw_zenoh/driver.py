@@ -39,6 +39,11 @@ class RmwZenohTransport:
         """Ends with the error that stopped us; Zenoh itself comes back by itself."""
         return self._session.failed
 
+    @property
+    def participant(self) -> bytes:
+        """What the gids of our endpoints begin with."""
+        return self._session.participant
+
     def on_graph(self, changed: Callable[[], None]) -> None:
         """Call `changed` after each change of the graph."""
         self._session.on_graph(changed)

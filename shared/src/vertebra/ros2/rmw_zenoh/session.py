@@ -58,6 +58,7 @@ class Session:
         domain_id: Our domain.
         graph: What others have.
         own: What we have.
+        participant: What the gids of what we have begin with.
         failed: Ends with the error that stopped us.
     """
 
@@ -75,7 +76,10 @@ class Session:
         self._on_graph: list[Callable[[], None]] = []
         self._announced: set[Announced] = set()
         self._followers: set[asyncio.Task[None]] = set()
-        self._node_key = self._token("NN").key
+        self._writers: dict[bytes, bytes] = {}
+        node = self._token("NN")
+        self.participant = node.participant
+        self._node_key = node.key
         self._node = session.liveliness().declare_token(self._node_key)
         self._tokens = self._follow_graph()
 
@@ -115,13 +119,20 @@ class Session:
         self._entities += 1
         announced = Announced(self, self._token(kind, name, type_name, qos), declared)
         self._announced.add(announced)
+        self.own.add(announced.endpoint)
+        self._note_writer(announced.endpoint, is_there=True)
         self._tell_change()
         return announced
 
-    def forget(self, announced: Announced) -> None:
-        """Let an endpoint go."""
-        self._announced.discard(announced)
+    def forget(self, announced: Announced) -> bool:
+        """Let an endpoint go; say whether it was still there."""
+        if announced not in self._announced:
+            return False
+        self._announced.remove(announced)
+        self.own.remove(announced.endpoint.gid)
+        self._note_writer(announced.endpoint, is_there=False)
         self._tell_change()
+        return True
 
     def _token(
         self, kind: Kind, name: str = "", type_name: str = "", qos: Qos | None = None
@@ -169,21 +180,36 @@ class Session:
 
     def _token_changed(self, told: tuple[str, bool]) -> None:
         key, is_there = told
-        gid = wire.gid_of(key)
-        if is_there:
-            token = wire.read_token(key)
-            if token.session == self._identity:
-                return
-            if token.kind == "NN":
+        token = wire.read_token(key)
+        if token.session == self._identity:
+            return
+        if token.kind == "NN":
+            gid = token.participant + wire.gid_of(key)
+            if is_there:
                 self.graph.set_nodes(gid, {token.node_name: frozenset()})
             else:
-                self.graph.add(wire.endpoint_of(token, key))
+                self.graph.remove_participant(gid)
         else:
-            self.graph.remove(gid)
-            self.graph.remove_participant(gid)
+            endpoint = wire.endpoint_of(token, key)
+            if is_there:
+                self.graph.add(endpoint)
+            else:
+                self.graph.remove(endpoint.gid)
+            self._note_writer(endpoint, is_there=is_there)
         self._tell_change()
         for changed in self._on_graph:
             changed()
+
+    def _note_writer(self, endpoint: Endpoint, *, is_there: bool) -> None:
+        of_node, in_messages = endpoint.gid[: wire.GID_BYTES], endpoint.gid[wire.GID_BYTES :]
+        if is_there:
+            self._writers[in_messages] = of_node
+        else:
+            self._writers.pop(in_messages, None)
+
+    def is_ignored(self, gid: bytes) -> bool:
+        """Say whether a message is of ourselves, or of a node that the graph ignores."""
+        return self._writers.get(gid, b"").startswith((self.participant, *self.graph.ignored))
 
     def _tell_change(self) -> None:
         """Let those look who wait `until` something is there."""
@@ -226,20 +252,19 @@ class Announced:
     """An endpoint of ours, seen by all until it closes.
 
     Attributes:
-        gid: Its identity.
+        endpoint: What it is in the graph.
+        gid: Its identity in messages.
     """
 
     def __init__(self, session: Session, token: Token, declared: Sequence[Declared]) -> None:
+        self.endpoint = wire.endpoint_of(token, token.key)
+        self.gid = wire.gid_of(token.key)
         self._session = session
-        endpoint = wire.endpoint_of(token, token.key)
-        self.gid = endpoint.gid
         self._declared = (session.zenoh.liveliness().declare_token(token.key), *declared)
-        session.own.add(endpoint)
 
     def close(self) -> None:
         """End it."""
-        if self._session.own.remove(self.gid):
-            self._session.forget(self)
+        if self._session.forget(self):
             with contextlib.suppress(zenoh.ZError):  # the session has gone, and all with it
                 for one in self._declared:
                     one.undeclare()

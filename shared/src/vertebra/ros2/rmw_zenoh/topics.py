@@ -23,6 +23,7 @@ _MAX_WRITERS: Final = 1024
 class _Message(NamedTuple):
     payload: bytes
     sent_ns: int
+    writer: bytes
 
 
 class TopicReader:
@@ -38,6 +39,7 @@ class TopicReader:
             Delivery.latest(qos.depth),
             key_of=lambda _: "",
         )
+        self._session = session
         self._on_payload = on_payload
         self._closed = False
         subscriber = _subscribe(session.zenoh, self._messages, qos)
@@ -52,8 +54,8 @@ class TopicReader:
     def _came(self, message: _Message | DecodeError) -> None:
         if isinstance(message, DecodeError):
             raise message
-        if not self._closed:
-            self._on_payload(*message)
+        if not self._closed and not self._session.is_ignored(message.writer):
+            self._on_payload(message.payload, message.sent_ns)
 
     def close(self) -> None:
         """End it."""
@@ -81,7 +83,7 @@ def _subscribe(
         if len(heard_at) >= _MAX_WRITERS:
             heard_at.clear()
         if heard_at.setdefault(told.gid, key) == key:  # writers like ours say everything twice
-            message = _Message(sample.payload.to_bytes(), told.sent_ns)
+            message = _Message(sample.payload.to_bytes(), told.sent_ns, told.gid)
             messages.offer(message, told.gid, told.sequence)
 
     if qos.durability == "volatile":

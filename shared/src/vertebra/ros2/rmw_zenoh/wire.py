@@ -7,6 +7,7 @@ each endpoint is a liveliness token whose key says everything of it; their sum i
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import Final, Literal, get_args
 
@@ -21,6 +22,7 @@ from vertebra.ros2.qos import Qos
 NO_HASH: Final = "TypeHashNotSupported"
 """Stands where the hash of a type would, at nodes of ROS 2 Humble, which has none."""
 ANY_HASH: Final = "*"
+GID_BYTES: Final = 16
 
 Kind = Literal["NN", "MP", "MS", "SS", "SC"]
 """Node; publisher and subscription of a topic; server and client of a service."""
@@ -33,6 +35,7 @@ _PLACES: Final[dict[Kind, tuple[Literal["writer", "reader"], Role]]] = {
 }
 
 _SPACE: Final = "@ros2_lv"
+_SESSION: Final = re.compile(r"[0-9a-f]{1,32}")
 _NODE_CHUNKS: Final = 9
 _ENDPOINT_CHUNKS: Final = 13
 _BEST_EFFORT: Final = "2"
@@ -97,6 +100,11 @@ class Token(Struct, frozen=True, kw_only=True):
         return "/".join(chunks)
 
     @property
+    def participant(self) -> bytes:
+        """Identity of its session, 16 bytes."""
+        return bytes.fromhex(self.session.zfill(2 * GID_BYTES))
+
+    @property
     def node_name(self) -> str:
         """Full name of its node."""
         return f"{self.namespace.rstrip('/')}/{self.node}"
@@ -114,7 +122,7 @@ def read_token(key: str) -> Token:
         raise DecodeError(f"{key!r} is no token of rmw_zenoh")
     domain_id, session, node_id, entity_id, letters = chunks[:5]
     kind = _KINDS.get(letters)
-    if not domain_id.isdecimal() or kind is None:
+    if not domain_id.isdecimal() or not _SESSION.fullmatch(session) or kind is None:
         raise DecodeError(f"{key!r} is the token of neither a node nor an endpoint")
     enclave, namespace, node = map(_unmangle, chunks[5:8])
     name = type_name = type_hash = ""
@@ -145,10 +153,13 @@ def read_token(key: str) -> Token:
 
 
 def endpoint_of(token: Token, key: str) -> Endpoint:
-    """Return what an endpoint is in the graph, from its token and the key that it was read from."""
+    """Return what an endpoint is in the graph, from its token and the key that it was read from.
+
+    Its gid there begins with its participant, and ends with what messages of it carry.
+    """
     kind, role = _PLACES[token.kind]
     return Endpoint(
-        gid=gid_of(key),
+        gid=token.participant + gid_of(key),
         kind=kind,
         role=role,
         name=token.name,
