@@ -34,7 +34,11 @@ WHERE: Final = {
     # middleware of others
     **{
         library: ["services/*/driver*.py"]
-        for library in ("aiomqtt", "paho", "rclpy", "rospy", "yarp", "zmq")
+        for library in ("aiomqtt", "paho", "rospy", "yarp", "zmq")
+    },
+    **{
+        library: ["shared/src/vertebra/ros2/rclpy/*.py"]
+        for library in ("rclpy", "rosidl_generator_py", "rosidl_runtime_py")
     },
     "cyclonedds": ["shared/src/vertebra/ros2/dds/*.py"],
     "rosbags": ["shared/src/vertebra/ros2/definitions.py"],

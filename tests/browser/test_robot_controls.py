@@ -63,7 +63,9 @@ async def full_page(full_lab: Lab, browser: Browser) -> AsyncIterator[Page]:
     page = await browser.new_page(viewport={"width": 1280, "height": 1000})
     faults = watch(page)
     await page.goto(f"{full_lab.gateway.url}?token={full_lab.gateway.token}")
-    await expect(page.locator(".robot .chip-text")).to_have_text(re.compile("^online"), timeout=20_000)
+    await expect(page.locator(".robot .chip-text")).to_have_text(
+        re.compile("^online"), timeout=20_000
+    )
     yield page
     await page.close()
     assert faults == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import sys
 import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -11,11 +12,25 @@ from contextlib import asynccontextmanager
 import pytest
 
 from vertebra.bus.router import running_router
-from vertebra.ros2.drivers import Participation
+from vertebra.errors import ConfigError, TransportError
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.qos import Qos
 from vertebra.testing.ports import free_tcp_port
-from vertebra.testing.ros2_suite import TransportSuite
+from vertebra.testing.ros2_suite import Pair, TransportSuite, echo
 
 DOMAINS = itertools.cycle(random.sample(range(20, 30), 10))
+
+
+def on_loopback(more: str = "") -> str:
+    """Return Cyclone DDS's configuration of a network that is this test's alone."""
+    return (
+        '<CycloneDDS><Domain Id="any"><General><AllowMulticast>false</AllowMulticast>'
+        '<Interfaces><NetworkInterface name="lo"/></Interfaces></General><Discovery>'
+        f"{more}<Tag>{uuid.uuid4().hex}</Tag><LeaseDuration>1s</LeaseDuration>"
+        '<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers>'
+        "</Discovery></Domain></CycloneDDS>"
+    )
 
 
 class TestRmwZenoh(TransportSuite):
@@ -47,17 +62,52 @@ class TestDds(TransportSuite):
     @asynccontextmanager
     async def places(self) -> AsyncIterator[tuple[Participation, Participation]]:
         domain_id = next(DOMAINS)
-        configuration = (
-            '<CycloneDDS><Domain Id="any"><General><AllowMulticast>false</AllowMulticast>'
-            '<Interfaces><NetworkInterface name="lo"/></Interfaces></General><Discovery>'
-            f"<ExternalDomainId>{domain_id}</ExternalDomainId><Tag>{uuid.uuid4().hex}</Tag>"
-            "<LeaseDuration>1s</LeaseDuration>"
-            '<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers>'
-            "</Discovery></Domain></CycloneDDS>"
-        )
+        configuration = on_loopback(f"<ExternalDomainId>{domain_id}</ExternalDomainId>")
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("CYCLONEDDS_URI", configuration)
             yield (
                 Participation(domain_id=domain_id, node="here", namespace="/suite"),
                 Participation(domain_id=domain_id + 100, node="there", namespace="/suite"),
             )
+
+
+class TestRclpy(TransportSuite):
+    """Two nodes of a ROS 2 that has been built or installed, on the middleware it is set to."""
+
+    driver = "rclpy"
+    library = "rclpy"
+    remedy = "source the setup.bash of a ROS 2 whose Python is this one"
+    unknown_types = False
+    counts_all = False
+
+    @asynccontextmanager
+    async def places(self) -> AsyncIterator[tuple[Participation, Participation]]:
+        domain_id = next(DOMAINS)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("CYCLONEDDS_URI", on_loopback())
+            patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            yield (
+                Participation(domain_id=domain_id, node="here", namespace="/suite"),
+                Participation(domain_id=domain_id, node="there", namespace="/suite"),
+            )
+
+    async def test_a_type_that_this_ros_does_not_have_is_told(self, pair: Pair) -> None:
+        with pytest.raises(TransportError, match=r"the type lab_msgs/msg/Strange .* install its"):
+            pair.here.reader("/suite/strange", "lab_msgs/msg/Strange", Qos(), lambda *_: None)
+        with pytest.raises(TransportError, match="lab_msgs/srv/Strange"):
+            pair.here.server("/suite/strange", "lab_msgs/srv/Strange", echo)
+
+    async def test_an_interface_is_not_its_matter(self, types: Types) -> None:
+        part = Participation(interface="eth7")
+        with pytest.raises(ConfigError, match=r"'eth7'.*VERTEBRA_ROS2_INTERFACE to auto"):
+            async with open_driver("rclpy", part, types):
+                pass
+
+
+async def test_ros_that_is_missing_is_told_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("vertebra.ros2.rclpy")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(ConfigError, match=r"source its setup.bash.*leave the driver at dds"):
+        async with open_driver("rclpy", Participation(), Types()):
+            pass

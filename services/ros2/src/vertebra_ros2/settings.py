@@ -19,7 +19,8 @@ class Ros2Settings(ServiceSettings):
 
     driver: DriverName = Field(
         "dds",
-        description="How ROS is reached: 'dds', or 'rmw_zenoh' for nodes that run rmw_zenoh_cpp.",
+        description="How ROS is reached: 'dds'; 'rclpy', the ROS that is installed here; or "
+        "'rmw_zenoh' for nodes that run rmw_zenoh_cpp.",
     )
     domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
     node: str = Field("vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_]\w*$")

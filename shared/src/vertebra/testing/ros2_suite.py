@@ -97,6 +97,7 @@ class TransportSuite(ABC):
         unknown_types: Whether it carries types of which nothing but the name is known.
         compares_qos: Whether a reader hears only a writer that offers what it requests.
         confirms: Whether readers confirm what they have.
+        counts_all: Whether what is lost before it reaches the driver is counted as well.
     """
 
     driver: ClassVar[DriverName]
@@ -105,6 +106,7 @@ class TransportSuite(ABC):
     unknown_types: ClassVar[bool] = True
     compares_qos: ClassVar[bool] = True
     confirms: ClassVar[bool] = True
+    counts_all: ClassVar[bool] = True
 
     @abstractmethod
     def places(self) -> AbstractAsyncContextManager[tuple[Participation, Participation]]:
@@ -268,6 +270,8 @@ class TransportSuite(ABC):
             writer.write(text("late"))
 
     async def test_what_the_event_loop_is_late_for_is_counted(self, pair: Pair) -> None:
+        if not self.counts_all:
+            pytest.skip(f"the driver {self.driver} is not told of what its library overwrites")
         heard, count = Heard(), 2000
         reader = pair.here.reader("/suite/late", TEXT, Qos(depth=10), heard)
         writer = pair.there.writer("/suite/late", TEXT, Qos(depth=count))
@@ -377,6 +381,7 @@ class TransportSuite(ABC):
         server = pair.there.server("/suite/add", ADD, add)
         client = pair.here.client("/suite/add", ADD)
         assert await ask(client, 1, 2) == 3
+        await eventually(lambda: pair.here.graph.service("/suite/add") is not None)
         server.close()
         await eventually(lambda: pair.here.graph.service("/suite/add") is None)
         with pytest.raises(NotConnectedError, match="/suite/add"):
@@ -427,7 +432,9 @@ class TransportSuite(ABC):
         told.write(sent)
         (got,) = await heard.wait(1)
         assert same(got, sent)
-        assert pair.here.graph.services()["/suite/fibonacci/_action/send_goal"].type == accept
+        graph, name = pair.here.graph, "/suite/fibonacci/_action/send_goal"
+        await eventually(lambda: name in graph.services(), timeout_s=TIMEOUT_S)
+        assert graph.services()[name].type == accept
 
     # The graph
 
@@ -461,7 +468,8 @@ class TransportSuite(ABC):
         await eventually(lambda: graph.node_of(writer) == "/suite/there", timeout_s=TIMEOUT_S)
         await eventually(lambda: graph.node_of(reader) == "/suite/there", timeout_s=TIMEOUT_S)
         assert "/suite/there" in graph.nodes()
-        assert pair.there.graph.topics() == {}, "what is ours is not what others have"
+        ours = {"/suite/seen", "/suite/latched"}
+        assert ours.isdisjoint(pair.there.graph.topics()), "what is ours is not what others have"
 
     async def test_who_leaves_is_gone(
         self, network: tuple[Participation, Participation], types: Types
