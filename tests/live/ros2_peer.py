@@ -253,6 +253,70 @@ class ParameterValue(IdlStruct, typename="rcl_interfaces.msg.dds_.ParameterValue
     string_array_value: sequence[str]
 
 
+PARAMETERS = "rcl_interfaces.srv.dds_."
+
+
+@dataclass
+class Parameter(IdlStruct, typename="rcl_interfaces.msg.dds_.Parameter_"):
+    name: str
+    value: ParameterValue
+
+
+@dataclass
+class ListedParameters(IdlStruct, typename="rcl_interfaces.msg.dds_.ListParametersResult_"):
+    names: sequence[str]
+    prefixes: sequence[str]
+
+
+@dataclass
+class SetResult(IdlStruct, typename="rcl_interfaces.msg.dds_.SetParametersResult_"):
+    successful: bool
+    reason: str
+
+
+@dataclass
+class ListRequest(IdlStruct, typename=f"{PARAMETERS}ListParameters_Request_"):
+    guid: uint64
+    seq: int64
+    prefixes: sequence[str]
+    depth: uint64
+
+
+@dataclass
+class ListReply(IdlStruct, typename=f"{PARAMETERS}ListParameters_Response_"):
+    guid: uint64
+    seq: int64
+    result: ListedParameters
+
+
+@dataclass
+class TypesRequest(IdlStruct, typename=f"{PARAMETERS}GetParameterTypes_Request_"):
+    guid: uint64
+    seq: int64
+    names: sequence[str]
+
+
+@dataclass
+class TypesReply(IdlStruct, typename=f"{PARAMETERS}GetParameterTypes_Response_"):
+    guid: uint64
+    seq: int64
+    types: sequence[byte]
+
+
+@dataclass
+class SetRequest(IdlStruct, typename=f"{PARAMETERS}SetParametersAtomically_Request_"):
+    guid: uint64
+    seq: int64
+    parameters: sequence[Parameter]
+
+
+@dataclass
+class SetReply(IdlStruct, typename=f"{PARAMETERS}SetParametersAtomically_Response_"):
+    guid: uint64
+    seq: int64
+    result: SetResult
+
+
 @dataclass
 class GetParametersRequest(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Request_"):
     guid: uint64
@@ -628,20 +692,82 @@ def act(peer: Peer, action: str, order: int, then: str) -> None:
         client.listen()
 
 
+def of_double(value: float) -> ParameterValue:
+    return ParameterValue(3, False, 0, value, "", [], [], [], [], [])
+
+
 def have_parameters(peer: Peer) -> None:
-    settings = qos("serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.0.2;")
-    name = "lab/camera/get_parameters"
-    reader = peer.read(f"rq/{name}Request", GetParametersRequest, settings)
-    writer = peer.write(f"rr/{name}Reply", GetParametersReply, settings)
+    """Be the node /lab/camera with the parameters rate (double, below 100) and many (one array)."""
+    kinds = {
+        "list_parameters": (ListRequest, ListReply),
+        "get_parameters": (GetParametersRequest, GetParametersReply),
+        "get_parameter_types": (TypesRequest, TypesReply),
+        "set_parameters_atomically": (SetRequest, SetReply),
+    }
+    pairs = []
+    for number, (name, (request, reply)) in enumerate(kinds.items()):
+        settings = qos(f"serviceid=1.2.3.4.5.6.7.8.9.a.b.c.0.0.2.{number};")
+        reader = peer.read(f"rq/lab/camera/{name}Request", request, settings)
+        writer = peer.write(f"rr/lab/camera/{name}Reply", reply, settings)
+        pairs.append((reader, writer, reply))
+    values = {
+        "many": ParameterValue(8, False, 0, 0.0, "of many", [], [True, False], [], [1.5], ["a"]),
+        "rate": of_double(30.0),
+    }
+
+    def answer(request: Any) -> Any:
+        if isinstance(request, ListRequest):
+            return ListedParameters(list(values), [])
+        if isinstance(request, SetRequest):
+            for one in request.parameters:
+                if one.name not in values or one.value.double_value >= 100:
+                    return SetResult(False, f"{one.name} is below 100")
+            values.update({one.name: one.value for one in request.parameters})
+            return SetResult(True, "")
+        if not all(name in values for name in request.names):
+            return []
+        found = [values[name] for name in request.names]
+        return [one.type for one in found] if isinstance(request, TypesRequest) else found
+
     say("ready")
     while not peer.done.wait(0.001):
-        for request in peer.take(reader):
-            values = [
-                ParameterValue(4, False, 0, 0.0, f"of {name}", [], [True, False], [], [1.5], ["a"])
-                for name in request.names
-            ]
-            hold(writer, reader)
-            writer.write(GetParametersReply(request.guid, request.seq, values))
+        for reader, writer, reply in pairs:
+            for request in peer.take(reader):
+                hold(writer, reader)
+                writer.write(reply(request.guid, request.seq, answer(request)))
+
+
+def ask_parameters(peer: Peer, node: str, name: str) -> None:
+    """Ask a node what it has, what one of it is, and to change that."""
+    kinds: dict[str, tuple[Any, ...]] = {
+        "list_parameters": (ListRequest, ListReply, [], 0),
+        "get_parameters": (GetParametersRequest, GetParametersReply, [name]),
+        "get_parameter_types": (TypesRequest, TypesReply, [name, "unknown"]),
+        "set_parameters_atomically": (
+            SetRequest,
+            SetReply,
+            [Parameter(name, of_double(5.0))],
+        ),
+    }
+    for service, (request, reply, *fields) in kinds.items():
+        settings = qos("clientid=f.2.3.4.5.6.7.8.9.a.b.c.0.0.0.3;")
+        writer = peer.write(f"rq{node}/{service}Request", request, settings)
+        reader = peer.read(f"rr{node}/{service}Reply", reply, settings)
+        while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+            time.sleep(0.001)
+        writer.write(request(0xFEED, 1, *fields))
+        while not (replies := peer.take(reader)):
+            time.sleep(0.001)
+        said = replies[0]
+        if isinstance(said, ListReply):
+            say("names", list(said.result.names))
+        elif isinstance(said, GetParametersReply):
+            say("values", [[one.type, one.integer_value, one.string_value] for one in said.values])
+        elif isinstance(said, TypesReply):
+            say("types", list(said.types))
+        else:
+            say("set", said.result.successful, said.result.reason)
+    peer.done.wait()
 
 
 def ask_sum(peer: Peer, count: int, *, as_fast_dds: bool = False) -> None:
@@ -726,6 +852,8 @@ def main() -> None:
         ask_sum(peer, int(arguments[0]), as_fast_dds=True)
     elif role == "have_parameters":
         have_parameters(peer)
+    elif role == "ask_parameters":
+        ask_parameters(peer, *arguments)
     elif role == "count_up":
         count_up(peer, deaf="deaf" in arguments)
     elif role == "act":

@@ -270,9 +270,9 @@ async def test_ros_service_is_called_by_its_key(lab: Lab) -> None:
 async def test_parameters_of_a_node_are_read(lab: Lab) -> None:
     async with peer(lab, "have_parameters") as node:
         await node.until("ready")
-        reply = await lab.call("ros2/lab/camera/get_parameters", {"names": ["rate"]})
+        reply = await lab.call("ros2/lab/camera/get_parameters", {"names": ["many"]})
     (value,) = reply["values"]
-    assert value["string_value"] == "of rate"
+    assert value["string_value"] == "of many"
     assert value["bool_array_value"] == [True, False]
     assert value["double_array_value"] == [1.5]
 

@@ -9,7 +9,7 @@ import pytest
 from vertebra.errors import ConfigError
 from vertebra.ros2.mapping import Sound
 from vertebra.service.routes import parse_routes, read_routes
-from vertebra_ros2.routes import KINDS, Action, Service, Topic
+from vertebra_ros2.routes import KINDS, Action, Parameters, Service, Topic
 
 SHIPPED = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
 
@@ -25,6 +25,8 @@ services:
 actions:
   - {ros: /navigate, key: base/navigate}
   - {ros: /greet, key: greet, type: lab_msgs/action/Greet, direction: outbound, timeout_s: 1}
+parameters:
+  - {ros: /planner, key: base/planner}
 """
     assert parse_routes(text, "routes.yaml", KINDS) == (
         Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
@@ -45,6 +47,7 @@ actions:
             direction="outbound",
             timeout_s=1,
         ),
+        Parameters(ros="/planner", key="base/planner"),
     )
 
 
@@ -102,7 +105,7 @@ def test_bad_line_is_named(line: str, told: str) -> None:
     ("text", "told"),
     [
         ("topics: {ros: /a}", "routes.yaml:1: topics is a list of routes"),
-        ("streams: []", "expected a map with the keys topics, services, actions"),
+        ("streams: []", "expected a map with the keys topics, services, actions, parameters"),
         ("- a", "expected a map"),
         ("topics: [", "routes.yaml is no YAML"),
         (

@@ -19,7 +19,9 @@ from vertebra_ros2.action_servers import OutboundAction
 from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.carried import Carried, Kit
 from vertebra_ros2.mirror import Mirror
-from vertebra_ros2.routes import KINDS, Action, AnyRoute, Topic
+from vertebra_ros2.parameter_server import ParameterServer
+from vertebra_ros2.parameters import InboundParameters
+from vertebra_ros2.routes import KINDS, Action, AnyRoute, Parameters, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
@@ -72,6 +74,7 @@ class Adapter:
         self._kit = Kit(context, transport, types)
         self._graph = transport.graph
         self._clients = Clients(self._kit)
+        self._parameters = ParameterServer(self._kit)
         self._wanted: tuple[AnyRoute, ...] = ()
         self._explicit: dict[AnyRoute, Carried] = {}
         self._changed = asyncio.Event()
@@ -136,6 +139,8 @@ class Adapter:
             if route.direction == "outbound":
                 return OutboundAction(self._kit, route)
             return InboundAction(self._kit, route, self._clients)
+        if isinstance(route, Parameters):
+            return InboundParameters(self._kit, route, self._clients)
         if route.direction == "inbound":
             return InboundService(self._kit, route, self._clients)
         return OutboundService(self._kit, route)
@@ -196,4 +201,5 @@ class Adapter:
         for carried in self._explicit.values():
             await carried.close()
         self._clients.close()
+        self._parameters.close()
         self._turns.close()

@@ -7,6 +7,7 @@ from collections.abc import Set as AbstractSet
 from vertebra.bus import Closeable, Reply, Request
 from vertebra.ros2.names import key_of, name_of
 from vertebra_ros2.carried import Kit
+from vertebra_ros2.parameters import call_mirrored
 from vertebra_ros2.routes import Topic
 from vertebra_ros2.services import Clients
 from vertebra_ros2.topics import InboundTopic
@@ -67,7 +68,9 @@ class Mirror:
             self._served = None
 
     async def _call(self, request: Request) -> Reply:
-        return await self._clients.call(name_of(request.key, self._key), "", request)
+        return await call_mirrored(
+            self._kit, self._clients, name_of(request.key, self._key), request
+        )
 
     async def close(self) -> None:
         """End it."""

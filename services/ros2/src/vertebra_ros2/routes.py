@@ -113,6 +113,30 @@ class Action(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return (f"{self.type}_Goal",) if self.direction == "outbound" else ()
 
 
+class Parameters(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The parameters of a ROS node: the calls `list`, `get`, `set` and `describe` below `key`.
+
+    Attributes:
+        ros: The node.
+        key: Where its parameters are on the backbone.
+    """
+
+    ros: str
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        return (
+            f"the parameters of the ROS node {check_name(self.ros)}",
+            f"the key {check_key(self.key)}",
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The types that have to be known: those of parameters always are."""
+        return ()
+
+
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
     check_name(name)
     said = check_type(type_name).split("/")[1] if type_name else kind
@@ -124,5 +148,10 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 
 
-AnyRoute = Topic | Service | Action
-KINDS: Final[dict[str, type[AnyRoute]]] = {"topics": Topic, "services": Service, "actions": Action}
+AnyRoute = Topic | Service | Action | Parameters
+KINDS: Final[dict[str, type[AnyRoute]]] = {
+    "topics": Topic,
+    "services": Service,
+    "actions": Action,
+    "parameters": Parameters,
+}
