@@ -93,7 +93,7 @@ async def running(*, jpeg_quality: int = 80) -> AsyncIterator[Rig]:
         gateway = Gateway(
             bus=inside, codecs=codecs, robots=robots, streams=streams, fleet=fleet, clients=clients
         )
-        streams.keep("vizzy/head/state")
+        streams.keep("vizzy/head/state", 60.0)
         followers = [tasks.create_task(robots.follow()), tasks.create_task(fleet.follow())]
         transport = httpx.ASGITransport(make_app(gateway, Guard(TOKEN)), raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://gateway") as http:
@@ -144,6 +144,28 @@ async def test_a_value_is_read_with_its_age(rig: Rig) -> None:
     assert 0 <= before_ns - int(document["captured_ns"]) < 5e9
     assert 0 <= document["age_s"] < 5
     assert document["message"]["names"] == list(JOINTS)
+
+
+async def test_a_value_is_read_only_for_a_while_after_somebody_asked(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rest, "READ_KEPT_S", 0.6)
+    network = rig.bus.network
+    before = len(network.subscriptions)
+    imu = MessagePublisher(rig.bus, rig.codecs, "vizzy/imu")
+    path = "/api/robots/vizzy/imu"
+    response = await rig.publish_until(rig.get(path), lambda: imu.publish(Text(text="first")))
+    assert response.json()["message"]["text"] == "first"
+    imu.publish(Text(text="second"))
+    await asyncio.sleep(0.3)
+    assert len(network.subscriptions) == before + 1
+    assert (await rig.get(path)).json()["message"]["text"] == "second"  # and is kept anew
+    await asyncio.sleep(0.4)
+    assert len(network.subscriptions) == before + 1
+    with rig.gateway.streams.viewing("vizzy/imu", "frame"):
+        await asyncio.sleep(0.6)
+        assert len(network.subscriptions) == before + 1, "somebody looks"
+    assert len(network.subscriptions) == before
 
 
 async def test_a_snapshot_is_the_newest_image(rig: Rig) -> None:

@@ -54,8 +54,6 @@ async def serve(context: Context[GatewaySettings]) -> None:
     for profile in profiles:
         for resource in profile.resources:
             context.routes[f"/api/robots/{profile.robot}/{resource.path}"] = resource.key
-            if resource.kind == "read":
-                streams.keep(resource.key)
     gateway = Gateway(
         bus=context.bus,
         codecs=context.codecs,

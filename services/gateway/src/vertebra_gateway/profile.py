@@ -81,8 +81,8 @@ class Resource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Attributes:
         path: Where it is below the robot.
-        kind: `read` is the newest value of a key, `stream` the same for bulky data, `call` asks
-            the robot to do or tell something.
+        kind: `read` is the newest value of a key, `stream` the same for bulky data (it is not
+            kept at hand between two reads), `call` asks the robot to do or tell something.
         key: The key it is bound to.
         method: `GET` makes a call that takes no input and changes nothing.
         content_type: What reading it gives; `image/jpeg` for cameras.

@@ -22,6 +22,8 @@ from vertebra_gateway.ws import Clients
 
 FIRST_VALUE_WITHIN_S: Final = 2.0
 IMAGE_MAX_AGE_S: Final = 2.0
+READ_KEPT_S: Final = 10.0
+"""So long after a read the next one finds its value at hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,6 +95,8 @@ def routes(gateway: Gateway) -> APIRouter:
                 raise ProblemError(405, f"{path!r} is called with POST", allowed=["POST"])
             return JsonResponse(await robots.call(robot, path, {}))
         resource = readable(robot, path)
+        if resource.kind == "read":
+            streams.keep(resource.key, READ_KEPT_S)
         if resource.content_type != "image/jpeg":
             item = await streams.newest(resource.key, "frame", within_s=FIRST_VALUE_WITHIN_S)
             return JsonResponse(to_document(item, gateway.codecs).payload)

@@ -1,7 +1,8 @@
 """Streams of the backbone for many viewers: read once, encoded once, slow viewers slow nobody.
 
 One `Feed` per key expression holds the one subscription on the bus; one form of it per way to
-encode (`frame` as it is, `json`, `jpeg`) holds its viewers. Both end when their last viewer leaves.
+encode (`frame` as it is, `json`, `jpeg`) holds its viewers. Both end when their last viewer leaves,
+or a while later where a feed is kept.
 """
 
 from __future__ import annotations
@@ -400,13 +401,13 @@ class Feed:
 
     Attributes:
         forms: In which forms it is looked at.
-        kept: Whether it goes on when nobody looks.
+        kept: Ends the time for which it goes on when nobody looks; None if it does not.
         newest: The newest sample of each key.
     """
 
     def __init__(self, bus: Bus, tasks: asyncio.TaskGroup, key_expression: str) -> None:
         self.forms: dict[FormName, _Form] = {}
-        self.kept = False
+        self.kept: asyncio.TimerHandle | None = None
         self.newest: OrderedDict[str, Item] = OrderedDict()
         self._subscription = bus.subscribe(key_expression, Delivery.latest(INTAKE_DEPTH))
         self._numbers: OrderedDict[str, _KeyNumbers] = OrderedDict()
@@ -420,6 +421,8 @@ class Feed:
     def close(self) -> None:
         """End the subscription; what still waits in it goes to nobody."""
         self._subscription.close()
+        if self.kept is not None:
+            self.kept.cancel()
         for form in self.forms.values():
             form.close()
         self.forms.clear()
@@ -507,9 +510,28 @@ class Streams:
         viewers.welcome(outlet, feed.newest.values())
         return feed
 
-    def keep(self, key: str) -> None:
-        """Read a key also while nobody looks, so that its newest value is at hand."""
-        self._feed(key).kept = True
+    def keep(self, key: str, for_s: float) -> None:
+        """Read a key for a while also when nobody looks, so that its newest value is at hand.
+
+        Raises:
+            NotConnectedError: The gateway stops.
+        """
+        if self._closed:
+            raise NotConnectedError("the gateway stops")
+        feed = self._feed(key)
+        if feed.kept is not None:
+            feed.kept.cancel()
+        feed.kept = asyncio.get_running_loop().call_later(for_s, self._let_go, key)
+
+    def _let_go(self, key: str) -> None:
+        self._feeds[key].kept = None
+        self._end_unused(key)
+
+    def _end_unused(self, key_expression: str) -> None:
+        feed = self._feeds[key_expression]
+        if not feed.forms and feed.kept is None:
+            del self._feeds[key_expression]
+            feed.close()
 
     def _feed(self, key_expression: str) -> Feed:
         feed = self._feeds.get(key_expression)
@@ -534,9 +556,7 @@ class Streams:
         if not viewers.outlets:
             viewers.close()
             del feed.forms[form]
-        if not feed.forms and not feed.kept:
-            del self._feeds[key_expression]
-            feed.close()
+        self._end_unused(key_expression)
 
     @contextmanager
     def viewing(self, key_expression: str, form: FormName) -> Iterator[Viewer]:
