@@ -303,7 +303,7 @@ async def test_gateway_that_refuses_the_token_says_so(lab: Lab, page: Page) -> N
 
 
 async def test_robot_that_leaves_is_offline_with_the_reason_and_comes_back(
-    lab: Lab, page: Page
+    lab: Lab, browser: Browser, page: Page
 ) -> None:
     chip = page.locator("[data-robot=vizzy] .chip")
     await expect(chip).to_have_text("offline")
@@ -316,7 +316,10 @@ async def test_robot_that_leaves_is_offline_with_the_reason_and_comes_back(
     await expect(page.locator(".veil")).to_contain_text("vizzy is offline")
     await screenshot(page, "robot-away")
     await page.add_init_script(WATCH_JOINTS)
-    await page.reload()  # what the gateway remembers is not shown as if it were new
+    remembering = await browser.new_page()  # the gateway remembers what somebody looks at
+    await remembering.goto(f"{lab.gateway.url}?token={lab.gateway.token}")
+    await expect(remembering.locator(".joints")).to_have_attribute("data-state", "stale")
+    await page.reload()  # what it remembers is not shown as if it were new
     await expect(page.locator(".joints")).to_have_attribute("data-state", "stale")
     await expect(page.locator(".joints .facts")).to_contain_text("Stale: nothing new for")
     await expect(joint(page, "neck_yaw").locator(".measured")).to_have_text("at 0.0°")

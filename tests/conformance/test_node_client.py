@@ -14,7 +14,7 @@ NODE = Path(playwright.__file__).parent / "driver" / "node"
 
 
 def test_there_are_tests_for_node() -> None:
-    assert [path.name for path in FILES] >= ["client.test.mjs", "frames.test.mjs"]
+    assert [path.name for path in FILES] >= ["base.test.mjs", "client.test.mjs", "frames.test.mjs"]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -231,8 +231,11 @@ async def test_each_form_of_data(rig: Rig) -> None:
 
 
 async def test_a_new_subscription_gets_what_is_known_after_its_answer(rig: Rig) -> None:
-    rig.robot.publish_state()  # never again
-    async with rig.client() as client:
+    async with rig.client() as first, rig.client() as client:
+        await first.send("subscribe", id=1, key="vizzy/head/state")
+        await first.answer("subscribed", id=1)
+        rig.robot.publish_state()  # never again
+        await first.read_until(lambda: first.has_more_than(0))
         for number, form in enumerate(("frame", "json"), start=1):
             await client.send("subscribe", id=number, key="vizzy/head/state", form=form)
             order: list[str] = []

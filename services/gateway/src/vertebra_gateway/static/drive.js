@@ -60,7 +60,7 @@ export class Driver {
 export function velocityOf(x, y, share, limits) {
   const part = (value, { min, max }) => {
     const beyond = Math.max(0, Math.abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE);
-    return Number((beyond * share * (value > 0 ? max : min)).toFixed(3));
+    return Number((beyond * share * (value > 0 ? max : min)).toFixed(3)) + 0; // no -0
   };
   return { linear_m_s: part(-y, limits.linear_m_s), angular_deg_s: part(-x, limits.angular_deg_s) };
 }
