@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import random
 import sys
+import time
 import uuid
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 import pytest
 
@@ -16,8 +17,9 @@ from vertebra.errors import ConfigError, TransportError
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.qos import Qos
+from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
-from vertebra.testing.ros2_suite import Pair, TransportSuite, echo
+from vertebra.testing.ros2_suite import TEXT, Heard, Pair, TransportSuite, echo, matched, text
 
 DOMAINS = itertools.cycle(random.sample(range(20, 30), 10))
 
@@ -70,6 +72,24 @@ class TestDds(TransportSuite):
                 Participation(domain_id=domain_id + 100, node="there", namespace="/suite"),
             )
 
+    async def test_what_a_full_reader_refuses_is_counted(
+        self, pair: Pair, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        heard, offered = Heard(), Qos(reliability="best_effort", depth=300)
+        reader = pair.here.reader("/suite/full", TEXT, offered, heard)
+        writer = pair.there.writer("/suite/full", TEXT, offered)
+        await matched(writer)
+        with thread_switches_after(60):  # nothing is taken meanwhile
+            for number in range(1000):
+                writer.write(text(str(number)))
+            until_s = time.monotonic() + 0.3
+            while time.monotonic() < until_s:
+                pass
+        await eventually(lambda: len(heard.payloads) + reader.dropped >= 1000)
+        assert len(heard.payloads) + reader.dropped == 1000
+        assert reader.dropped > 0
+        assert "samples of rt/suite/full were lost" in caplog.text
+
 
 class TestRclpy(TransportSuite):
     """Two nodes of a ROS 2 that has been built or installed, on the middleware it is set to."""
@@ -111,3 +131,14 @@ async def test_ros_that_is_missing_is_told_with_the_remedy(monkeypatch: pytest.M
     with pytest.raises(ConfigError, match=r"source its setup.bash.*leave the driver at dds"):
         async with open_driver("rclpy", Participation(), Types()):
             pass
+
+
+@contextmanager
+def thread_switches_after(interval_s: float) -> Iterator[None]:
+    """Let no other thread of Python run for so long."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(interval_s)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before_s)

@@ -100,10 +100,10 @@ class DdsTransport:
             (BuiltinTopicDcpsParticipant, self._participant_came),
         ):
             reader = BuiltinDataReader(dds.entity, topic)
-            dds.attach(Input(reader, _GRAPH_DEPTH, came, only_valid=False))
+            dds.attach(Input("discovery", reader, _GRAPH_DEPTH, came, only_valid=False))
         everybody = Qos(durability="transient_local", depth=1000)
         reader = dds.make_reader(DISCOVERY_TOPIC, DISCOVERY_TYPE, everybody)
-        dds.attach(Input(reader, _GRAPH_DEPTH, self._nodes_came))
+        dds.attach(Input(DISCOVERY_TOPIC, reader, _GRAPH_DEPTH, self._nodes_came))
 
     def _endpoint_came(self, sample: Any, kind: Literal["writer", "reader"]) -> None:
         gid = sample.key.bytes
@@ -179,8 +179,9 @@ class TopicReader:
         self._gids: dict[int, bytes] = {}
         self._on_payload = on_payload
         self._closed = False
-        self._reader = dds.make_reader(dds_name("topic", name), type_name, qos)
-        self._input = Input(self._reader, qos.depth, self._came)
+        topic = dds_name("topic", name)
+        self._reader = dds.make_reader(topic, type_name, qos)
+        self._input = Input(topic, self._reader, qos.depth, self._came)
         dds.attach(self._input)
         dds.add_own(self._reader)
 

@@ -47,12 +47,19 @@ _NOT_READ: Final = SampleState.NotRead | ViewState.Any | InstanceState.Any
 
 
 class Input:
-    """A DDS reader, what came of it, and who takes it in the event loop."""
+    """A DDS reader, what came of it, and who takes it in the event loop; `name` is for the log."""
 
     def __init__(
-        self, reader: Any, depth: int, taken: Callable[[Any], None], *, only_valid: bool = True
+        self,
+        name: str,
+        reader: Any,
+        depth: int,
+        taken: Callable[[Any], None],
+        *,
+        only_valid: bool = True,
     ) -> None:
         self.reader = reader
+        self._name = name
         self.condition = ReadCondition(reader, _NOT_READ)
         self._depth = depth
         self._overrun = 0
@@ -89,14 +96,14 @@ class Input:
         self._handing_over = False  # first of all: what comes from now on has itself handed over
         now_s = time.monotonic()
         if self.dropped > self._told and now_s > self._told_at_s + _TELL_EVERY_S:
-            log.error("%d samples were lost: the event loop was late", self.dropped - self._told)
-            self._told, self._told_at_s = self.dropped, now_s
+            lost, self._told, self._told_at_s = self.dropped - self._told, self.dropped, now_s
+            log.error("%d samples of %s were lost: this process was late", lost, self._name)
         for _ in range(len(self._waiting)):  # what comes meanwhile has its own turn
             sample = self._waiting.popleft()
             try:
                 self._taken(sample)
             except CodecError as error:
-                log.warning("refused a sample: %s", error)
+                log.warning("refused a sample of %s: %s", self._name, error)
 
 
 class Participant:

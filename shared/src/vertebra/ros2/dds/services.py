@@ -65,7 +65,7 @@ class _Pair:
         self.who_writes = lru_cache(MAX_REQUESTS)(self._who_writes)
         self._ended = False
         self._dds = dds
-        dds.attach(Input(self.reader, MAX_REQUESTS, came))
+        dds.attach(Input(read[0], self.reader, MAX_REQUESTS, came))
         dds.add_own(self.writer, self.reader)
 
     @property
