@@ -68,6 +68,8 @@ PURE: Final = {
     "shared/src/vertebra/yarp/ports/incoming.py",
     "plugins/*.py",
     "services/*/board.py", "services/*/body.py", "services/*/geometry.py",
+    "services/simulator/*/base.py", "services/simulator/*/floorplan.py",
+    "services/simulator/*/navigator.py", "services/simulator/*/records.py",
     "services/*/mapping/*.py", "services/*/pipeline.py", "services/*/scene.py",
     "services/*/tracker.py", "services/gateway/*/commands.py",
     "services/gateway/*/ws_protocol.py",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 import signal
 import socket
@@ -40,6 +41,7 @@ class Up:
             "VERTEBRA_ROUTER_LISTEN": f'["tcp/127.0.0.1:{router}"]',
             "VERTEBRA_YARP_NAME_SERVER_BIND": f"127.0.0.1:{name_server}",
             "VERTEBRA_SIMULATOR_NAME_SERVER": f"127.0.0.1:{name_server}",
+            "VERTEBRA_ROS2_DOMAIN_ID": str(random.randrange(100, 230)),
             "VERTEBRA_GATEWAY_TCP_PORT": str(self.gateway),
             "VERTEBRA_GATEWAY_TOKEN_FILE": str(folder / "secrets/gateway_token"),
         }
@@ -189,6 +191,17 @@ def test_keys_show_the_robot_and_who_is_there(fleet: Up) -> None:
     assert float(state[1]) > 10
     for service in SERVICES:
         assert find(rf"^{service} +1 +\d+\.\d+\.\d+ +(ok|warning)", done.stdout)
+
+
+def test_the_base_is_driven_and_tells_where_it_is(fleet: Up) -> None:
+    domain = fleet.environment["VERTEBRA_ROS2_DOMAIN_ID"]
+    topics = fleet.command("ros2", "topics", "--domain", domain)
+    assert find(r"^/cmd_vel +geometry_msgs/msg/Twist", topics.stdout), topics.stdout + topics.stderr
+    assert find(r"^/odom +nav_msgs/msg/Odometry", topics.stdout), topics.stdout
+    done = fleet.command("call", "vizzy/base/drive", '{"linear_m_s": 0.4, "for_s": 2}')
+    assert '"stops_in_s": 2.0' in done.stdout, done.stdout + done.stderr
+    told = fleet.command("echo", "vizzy/base/odometry", "-n", "1")
+    assert "base_link" in told.stdout, told.stdout + told.stderr
 
 
 def test_a_second_one_is_refused(fleet: Up) -> None:

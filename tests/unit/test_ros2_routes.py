@@ -9,7 +9,7 @@ import pytest
 from vertebra.errors import ConfigError
 from vertebra.ros2.mapping import Sound
 from vertebra.service.routes import parse_routes, read_routes
-from vertebra_ros2.routes import KINDS, Action, Parameters, Service, Topic
+from vertebra_ros2.routes import KINDS, Action, Base, Parameters, Service, Topic
 
 SHIPPED = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
 
@@ -27,6 +27,8 @@ actions:
   - {ros: /greet, key: greet, type: lab_msgs/action/Greet, direction: outbound, timeout_s: 1}
 parameters:
   - {ros: /planner, key: base/planner}
+bases:
+  - {ros: /cmd_vel, key: base, max_linear_m_s: 0.5, max_angular_deg_s: 60, actions: [/navigate]}
 """
     assert parse_routes(text, "routes.yaml", KINDS) == (
         Topic(ros="/scan", key="base/scan", depth=5, max_rate_hz=10),
@@ -48,6 +50,13 @@ parameters:
             timeout_s=1,
         ),
         Parameters(ros="/planner", key="base/planner"),
+        Base(
+            ros="/cmd_vel",
+            key="base",
+            max_linear_m_s=0.5,
+            max_angular_deg_s=60,
+            actions=("/navigate",),
+        ),
     )
 
 
@@ -57,7 +66,8 @@ def test_nothing_is_no_route(text: str) -> None:
 
 
 def test_shipped_file_is_right() -> None:
-    assert read_routes(SHIPPED, KINDS) == ()
+    keys = {route.key for route in read_routes(SHIPPED, KINDS)}
+    assert {"vizzy/base", "vizzy/base/odometry"} <= keys
 
 
 def test_no_file_is_no_route() -> None:
@@ -105,7 +115,10 @@ def test_bad_line_is_named(line: str, told: str) -> None:
     ("text", "told"),
     [
         ("topics: {ros: /a}", "routes.yaml:1: topics is a list of routes"),
-        ("streams: []", "expected a map with the keys topics, services, actions, parameters"),
+        (
+            "streams: []",
+            "expected a map with the keys topics, services, actions, parameters, bases",
+        ),
         ("- a", "expected a map"),
         ("topics: [", "routes.yaml is no YAML"),
         (
@@ -119,6 +132,23 @@ def test_bad_line_is_named(line: str, told: str) -> None:
         (
             "actions: [{ros: /a, key: a, direction: outbound}]",
             "an outbound route says the ROS type of /a",
+        ),
+        (
+            "bases: [{ros: /a, key: a, max_linear_m_s: 0, max_angular_deg_s: 90}]",
+            "max_linear_m_s is above 0, not 0",
+        ),
+        (
+            "bases: [{ros: /a, key: a, max_linear_m_s: 1, max_angular_deg_s: .inf}]",
+            "max_angular_deg_s is above 0, not inf",
+        ),
+        (
+            "bases: [{ros: /a, key: a, max_linear_m_s: 1, max_angular_deg_s: 9, actions: [go]}]",
+            "a ROS name is",
+        ),
+        (
+            """bases: [{ros: /a, key: a, max_linear_m_s: 1, max_angular_deg_s: 9}]
+topics: [{ros: /a, key: b, type: a/msg/B, direction: outbound}]""",
+            r"the ROS topic /a \(outbound\) has a route in line 1 already",
         ),
     ],
 )

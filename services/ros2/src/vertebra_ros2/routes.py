@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, Literal
 
 from vertebra.errors import ConfigError
@@ -137,6 +138,43 @@ class Parameters(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return ()
 
 
+class Base(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A mobile base that takes velocities: the calls `drive`, `stop` and `limits` below `key`.
+
+    Attributes:
+        ros: The topic on which it takes them.
+        key: Where it is on the backbone.
+        max_linear_m_s: Fastest that it may be told to drive, ahead or back.
+        max_angular_deg_s: Fastest that it may be told to turn.
+        type: ROS type of the topic, a twist with or without a stamp.
+        actions: What drives it by itself: `stop` cancels all their goals.
+    """
+
+    ros: str
+    max_linear_m_s: float
+    max_angular_deg_s: float
+    type: Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"] = (
+        "geometry_msgs/msg/Twist"
+    )
+    actions: tuple[str, ...] = ()
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        for action in self.actions:
+            check_name(action)
+        for name in ("max_linear_m_s", "max_angular_deg_s"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"{name} is above 0, not {getattr(self, name)}")
+        ends = (f"the ROS topic {check_name(self.ros)}", f"the key {check_key(self.key)}")
+        return (f"{ends[0]} (outbound)", ends[1])
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Types that have to be known, because nobody else says what they are."""
+        return (self.type,)
+
+
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
     check_name(name)
     said = check_type(type_name).split("/")[1] if type_name else kind
@@ -148,10 +186,11 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 
 
-AnyRoute = Topic | Service | Action | Parameters
+AnyRoute = Topic | Service | Action | Parameters | Base
 KINDS: Final[dict[str, type[AnyRoute]]] = {
     "topics": Topic,
     "services": Service,
     "actions": Action,
     "parameters": Parameters,
+    "bases": Base,
 }

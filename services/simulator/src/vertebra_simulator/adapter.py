@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from typing import Final
@@ -22,6 +22,8 @@ from vertebra_simulator.geometry import camera_rotation, inertial
 from vertebra_simulator.inertials import METADATA, measurements
 from vertebra_simulator.scene import Scene
 from vertebra_simulator.settings import SimulatorSettings
+from vertebra_simulator.ticks import ticks
+from vertebra_simulator.wheels import serve_wheels
 
 log = logging.getLogger(__name__)
 
@@ -40,9 +42,11 @@ async def serve(context: Context[SimulatorSettings]) -> None:
     async with AsyncExitStack() as stack:
         renderer = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="renderer"))
         robot = Robot(context, renderer)
-        await robot.open_ports(stack)
-        context.ready()
         async with asyncio.TaskGroup() as tasks:
+            if context.settings.ros2:
+                tasks.create_task(serve_wheels(context), name="wheels")
+            await robot.open_ports(stack)
+            context.ready()
             tasks.create_task(robot.stream_state(), name="state")
             tasks.create_task(robot.stream_images(), name="images")
             tasks.create_task(robot.stream_face(), name="face")
@@ -179,7 +183,7 @@ class Robot:
 
     async def stream_state(self) -> None:
         """Tell where the joints are, where the eyes look and what the IMU feels."""
-        async for count in self._ticks(STATE_RATE_HZ):
+        async for count in ticks(STATE_RATE_HZ, self._skipped.inc):
             stamp = Stamp(count, time.time())
             self._live()
             for name in STATES:
@@ -206,7 +210,7 @@ class Robot:
     async def stream_images(self) -> None:
         """Show what the camera sees, as long as somebody looks."""
         port, camera = self._ports["camera/left"], self._scene.camera
-        async for count in self._ticks(self._context.settings.camera_rate_hz):
+        async for count in ticks(self._context.settings.camera_rate_hz, self._skipped.inc):
             if not port.outputs:
                 continue
             time_s = self._live()
@@ -221,7 +225,7 @@ class Robot:
     async def stream_face(self) -> None:
         """Show the face, as long as somebody looks."""
         port = self._ports["face/image:o"]
-        async for count in self._ticks(FACE_RATE_HZ):
+        async for count in ticks(FACE_RATE_HZ, self._skipped.inc):
             if port.outputs:
                 stamp = Stamp(count, time.time()).to_envelope()
                 image = Image.from_packed("rgb", face.WIDTH, face.HEIGHT, self._face.render())
@@ -230,7 +234,7 @@ class Robot:
     async def stream_sound(self) -> None:
         """Let the microphone hear, in real time."""
         port = self._ports["microphone/audio:o"]
-        async for count in self._ticks(sound.RATE_HZ / sound.CHUNK):
+        async for count in ticks(sound.RATE_HZ / sound.CHUNK, self._skipped.inc):
             heard = self._room.hear()
             if port.outputs:
                 port.write(heard, envelope=Stamp(count, time.time()).to_envelope())
@@ -243,16 +247,3 @@ class Robot:
         time_s = time.monotonic() - self._began_s
         self._body.advance_to(time_s)
         return time_s
-
-    async def _ticks(self, rate_hz: float) -> AsyncIterator[int]:
-        """Yield the number of each tick when it is due, without drift; late ones are skipped."""
-        began_s = time.monotonic()
-        count = 0
-        while True:
-            count += 1
-            late = int((time.monotonic() - began_s) * rate_hz) - count
-            if late > 0:
-                self._skipped.inc(late)
-                count += late
-            await asyncio.sleep(began_s + count / rate_hz - time.monotonic())
-            yield count

@@ -9,7 +9,7 @@ from vertebra.service import ServiceSettings
 
 
 class SimulatorSettings(ServiceSettings):
-    """A robot on the real YARP wire: a head with joints, a camera and an IMU."""
+    """A robot: a head with joints, a camera and an IMU on the YARP wire, a base on ROS 2."""
 
     model_config = SettingsConfigDict(env_prefix="VERTEBRA_SIMULATOR_")
 
@@ -28,3 +28,11 @@ class SimulatorSettings(ServiceSettings):
         "", description="Address under which others reach the YARP ports; empty finds it."
     )
     camera_rate_hz: float = Field(30.0, description="Images per second.", gt=0, le=100)
+    ros2: bool = Field(default=False, description="Have a base with wheels, as a ROS 2 node.")
+    ros2_domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
+    ros2_interface: str = Field(
+        "lo", description="Network interface of DDS; 'auto' leaves it to DDS and CYCLONEDDS_URI."
+    )
+    ros2_peers: tuple[str, ...] = Field(
+        (), description="Hosts to look for where there is no multicast, as a JSON list."
+    )
