@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import random
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from vertebra.bus.router import running_router
 from vertebra.errors import ConfigError, TransportError
+from vertebra.ros2.dds.driver import DdsTransport
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.qos import Qos
@@ -89,6 +91,23 @@ class TestDds(TransportSuite):
         assert len(heard.payloads) + reader.dropped == 1000
         assert reader.dropped > 0
         assert "samples of rt/suite/full were lost" in caplog.text
+
+    async def test_topics_of_the_past_take_no_room(self) -> None:
+        types = await asyncio.to_thread(Types.standard)
+        async with self.places() as (here, _), open_driver("dds", here, types) as transport:
+            assert isinstance(transport, DdsTransport)
+            before = set(transport._dds._topics)
+            for number in range(20):
+                first = transport.writer(f"/past{number}", "std_msgs/msg/String", Qos())
+                second = transport.reader(
+                    f"/past{number}", "std_msgs/msg/String", Qos(), lambda *_: None
+                )
+                first.close()
+                with pytest.raises(TransportError, match="is in use here with another type"):
+                    transport.writer(f"/past{number}", "std_msgs/msg/Empty", Qos())
+                second.close()
+            assert set(transport._dds._topics) == before
+            transport.writer("/past1", "std_msgs/msg/Empty", Qos()).close()
 
 
 class TestRclpy(TransportSuite):

@@ -5,6 +5,7 @@ It shares no code with the adapter: types are written by hand, samples are made 
 `python ros2_peer.py ROLE [ARGUMENT]` prints JSON lines, first "ready", and ends with its input.
 """
 
+import dataclasses
 import json
 import os
 import struct
@@ -23,7 +24,7 @@ from cyclonedds.builtin import (
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import byte, float64, int32, int64, uint32, uint64
+from cyclonedds.idl.types import byte, float32, float64, int32, int64, uint32, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -33,11 +34,15 @@ if TYPE_CHECKING:
     sequence = Sequence
     Gids = Sequence[int]
     HumbleGids = Sequence[int]
+    Points = Sequence["Point"]
+    Units = Sequence[float]
 else:
     from cyclonedds.idl.types import array, sequence
 
     Gids = array[byte, 16]
     HumbleGids = array[byte, 24]
+    Points = array["Point", 70]
+    Units = array[float32, 99]
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
@@ -329,6 +334,92 @@ class GetParametersReply(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParamet
     guid: uint64
     seq: int64
     values: sequence[ParameterValue]
+
+
+@dataclass
+class IdsList(IdlStruct, typename="hri_msgs.msg.dds_.IdsList_"):
+    header: Header
+    ids: sequence[str]
+
+
+@dataclass
+class Region(IdlStruct, typename="hri_msgs.msg.dds_.NormalizedRegionOfInterest2D_"):
+    header: Header
+    xmin: float32
+    ymin: float32
+    xmax: float32
+    ymax: float32
+    c: float32
+
+
+@dataclass
+class Point(IdlStruct, typename="hri_msgs.msg.dds_.NormalizedPointOfInterest2D_"):
+    x: float32
+    y: float32
+    c: float32
+
+
+@dataclass
+class Landmarks(IdlStruct, typename="hri_msgs.msg.dds_.FacialLandmarks_"):
+    header: Header
+    landmarks: Points
+    height: uint32
+    width: uint32
+
+
+@dataclass
+class Expression(IdlStruct, typename="hri_msgs.msg.dds_.Expression_"):
+    header: Header
+    expression: str
+    valence: float32
+    arousal: float32
+    confidence: float32
+
+
+@dataclass
+class ActionUnits(IdlStruct, typename="hri_msgs.msg.dds_.FacialActionUnits_"):
+    header: Header
+    intensity: Units
+    confidence: Units
+
+
+@dataclass
+class Vector(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Rotation(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
+    translation: Vector
+    rotation: Rotation
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class Transforms(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
+    transforms: sequence[TransformStamped]
+
+
+FACE_PARTS = {
+    "roi": Region, "landmarks": Landmarks, "cropped": Image, "expression": Expression,
+    "facs": ActionUnits,
+}  # fmt: skip
 
 
 class Raw:
@@ -790,6 +881,37 @@ def ask_sum(peer: Peer, count: int, *, as_fast_dds: bool = False) -> None:
     peer.done.wait()
 
 
+def know_humans(peer: Peer, wanted: Sequence[str]) -> None:
+    """Follow faces as libhri does: what is tracked decides which topics are read."""
+    system_default = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile)
+    tracked = peer.read("rt/humans/faces/tracked", IdsList, system_default)
+    transforms = peer.read("rt/tf", Transforms, qos(depth=100))
+    faces: dict[str, list[tuple[str, Any]]] = {}
+    say("ready")
+    while not peer.done.wait(0.005):
+        for sample in peer.take(tracked):
+            stamp = sample.header.stamp.sec * 10**9 + sample.header.stamp.nanosec
+            say("tracked", list(sample.ids), stamp, sample.header.frame_id)
+            for lost in faces.keys() - set(sample.ids):
+                for _, reader in faces.pop(lost):
+                    peer.readers.remove(reader)
+                    reader.__del__()
+            for new in set(sample.ids) - faces.keys():
+                faces[new] = [
+                    (part, peer.read(f"rt/humans/faces/{new}/{part}", FACE_PARTS[part], qos()))
+                    for part in wanted
+                ]
+        for face, readers in faces.items():
+            for part, reader in readers:
+                for sample in peer.take(reader):
+                    told = dataclasses.asdict(sample)
+                    if part == "cropped":  # its middle row is enough to see
+                        told["data"] = list(sample.data)[64 * sample.step : 65 * sample.step]
+                    say(part, face, told)
+        for sample in peer.take(transforms):
+            say("tf", dataclasses.asdict(sample)["transforms"])
+
+
 def watch(peer: Peer) -> None:
     """Say what others see of the graph, as `ros2 node info` and `ros2 topic info -v` would."""
     reader = peer.read("ros_discovery_info", RawNodes, qos(latched=True, depth=100))
@@ -858,6 +980,8 @@ def main() -> None:
         count_up(peer, deaf="deaf" in arguments)
     elif role == "act":
         act(peer, arguments[0], int(arguments[1]), arguments[2] if arguments[2:] else "")
+    elif role == "know_humans":
+        know_humans(peer, arguments)
     elif role == "watch":
         watch(peer)
     else:

@@ -19,10 +19,11 @@ from vertebra_ros2.action_servers import OutboundAction
 from vertebra_ros2.actions import InboundAction
 from vertebra_ros2.bases import DrivenBase
 from vertebra_ros2.carried import Carried, Kit
+from vertebra_ros2.humans import OutboundHumans
 from vertebra_ros2.mirror import Mirror
 from vertebra_ros2.parameter_server import ParameterServer
 from vertebra_ros2.parameters import InboundParameters
-from vertebra_ros2.routes import KINDS, Action, AnyRoute, Base, Parameters, Topic
+from vertebra_ros2.routes import KINDS, Action, AnyRoute, Base, Humans, Parameters, Topic
 from vertebra_ros2.services import Clients, InboundService, OutboundService
 from vertebra_ros2.settings import Ros2Settings
 from vertebra_ros2.topics import InboundTopic, OutboundTopic
@@ -144,6 +145,8 @@ class Adapter:
             return InboundParameters(self._kit, route, self._clients)
         if isinstance(route, Base):
             return DrivenBase(self._kit, route, self._clients)
+        if isinstance(route, Humans):
+            return OutboundHumans(self._kit, route)
         if route.direction == "inbound":
             return InboundService(self._kit, route, self._clients)
         return OutboundService(self._kit, route)

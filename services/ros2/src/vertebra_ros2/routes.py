@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 from vertebra.errors import ConfigError
 from vertebra.keys import check_key
+from vertebra.ros2 import humans
 from vertebra.ros2.mapping import Sound
 from vertebra.ros2.names import check_name, check_type
 from vertebra.service.routes import Route
@@ -44,8 +45,9 @@ class Topic(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         _check(self.ros, self.type, "msg", needs_type=self.direction == "outbound")
         if self.depth < 1:
             raise ConfigError(f"a depth is at least 1, not {self.depth}")
-        ends = (f"the ROS topic {self.ros}", f"the key {check_key(self.key)}")
-        return tuple(f"{end} ({self.direction})" for end in ends)
+        topic = f"the ROS topic {self.ros} ({self.direction})"
+        key = f"the key {check_key(self.key)} (inbound)"
+        return (topic,) if self.direction == "outbound" else (topic, key)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -175,6 +177,48 @@ class Base(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return (self.type,)
 
 
+class Humans(Route, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The faces that a camera sees, as ROS4HRI has them: `/humans/faces/...`.
+
+    Attributes:
+        key: The `Faces` of the camera.
+        expressions: Key of their `Expressions`.
+        head_poses: Key of their `HeadPoses`; they become transforms.
+        image: Key of the camera's `Image`, of which the faces are cropped.
+        frame_id: Optical frame of the camera, if its images do not say it.
+        field_of_view_deg: Of the camera, from the left to the right of its image; transforms
+            need it.
+    """
+
+    expressions: str = ""
+    head_poses: str = ""
+    image: str = ""
+    frame_id: str = ""
+    field_of_view_deg: float = 0.0
+
+    @property
+    def ros(self) -> str:
+        """The namespace of the faces."""
+        return humans.FACES
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What no other route may have, in words."""
+        for key in (self.key, self.expressions, self.head_poses, self.image):
+            if key or key is self.key:
+                check_key(key)
+        if not 0 <= self.field_of_view_deg < 180:
+            raise ConfigError(f"a field of view is below 180 degrees, not {self.field_of_view_deg}")
+        if self.head_poses and not self.field_of_view_deg:
+            raise ConfigError("head poses become transforms: add 'field_of_view_deg: ...'")
+        return (f"the ROS topic {humans.TRACKED} (outbound)",)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Types that have to be known, because nobody else says what they are."""
+        return (humans.TRACKED_TYPE, *humans.PARTS.values())
+
+
 def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
     check_name(name)
     said = check_type(type_name).split("/")[1] if type_name else kind
@@ -186,11 +230,12 @@ def _check(name: str, type_name: str, kind: str, *, needs_type: bool) -> None:
         raise ConfigError(f"an outbound route says the ROS type of {name}: add 'type: ...'")
 
 
-AnyRoute = Topic | Service | Action | Parameters | Base
+AnyRoute = Topic | Service | Action | Parameters | Base | Humans
 KINDS: Final[dict[str, type[AnyRoute]]] = {
     "topics": Topic,
     "services": Service,
     "actions": Action,
     "parameters": Parameters,
     "bases": Base,
+    "humans": Humans,
 }

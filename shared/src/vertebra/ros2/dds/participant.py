@@ -10,7 +10,7 @@ import asyncio
 import logging
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -127,6 +127,7 @@ class Participant:
         self._inputs: list[Input] = []
         self._matched: dict[Any, asyncio.Event] = {}
         self._topics: dict[str, Any] = {}
+        self._users: Counter[str] = Counter()
         self._stopping = self.closed = False
         self.entity = DomainParticipant(domain_id, qos=DdsQos(Policy.Userdata(data=b"enclave=/;")))
         self.gid = self.entity.guid.bytes
@@ -147,17 +148,26 @@ class Participant:
         return DataReader(self.entity, self._topic(topic, type_name), qos=settings)
 
     def _topic(self, topic: str, type_name: str) -> Any:
-        """Return the DDS topic. One name has one type in a participant, as long as it lives."""
+        """Return the DDS topic. One name has one type in a participant, as long as it is used."""
         known = self._topics.get(topic)
         if known is None:
             known = Topic(self.entity, topic, self._raw_types.raw(type_name))
             self._topics[topic] = known
         if known.data_type is not self._raw_types.raw(type_name):
             raise TransportError(
-                f"the DDS topic {topic!r} has been used here with another type than {type_name}; "
-                "restart this service to use it with that one"
+                f"the DDS topic {topic!r} is in use here with another type than {type_name}; "
+                "end the route or the subscription that uses it so"
             )
+        self._users[topic] += 1
         return known
+
+    def _release(self, topic: str) -> Any:
+        """Count one user less; return the DDS topic if that was the last one."""
+        self._users[topic] -= 1
+        if self._users[topic]:
+            return None
+        del self._users[topic]
+        return self._topics.pop(topic)
 
     def _hash(self, type_name: str) -> str:
         whole = type_name
@@ -201,6 +211,7 @@ class Participant:
         if entity in self.own:
             self.own.remove(entity)
             self._on_own()
+        topic = self._release(entity.topic.name)
 
         def end() -> None:
             if self._matched.pop(entity, None) is not None:
@@ -210,6 +221,8 @@ class Participant:
                 self._waitset.detach(one.condition)
                 delete(one.condition)
             delete(entity)
+            if topic is not None:
+                delete(topic)
 
         self._in_thread(end)
 
