@@ -6,22 +6,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vertebra.goals import Goal, Goals, State
 from vertebra.ros2.actions import (
     GOAL_TERMINATED,
     NO_GOAL,
     STATES,
     UNKNOWN_GOAL,
     goal_id_of,
+    info_of,
     ns_of,
     part_of,
     stamp_of,
     state_of,
+    status_of,
+    to_cancel,
     uuid_of,
 )
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.service.goals import Goal, Goals, State
-from vertebra_ros2.goals import info_of, status_of, to_cancel
 
 SECOND = 10**9
 TYPES = Types.standard()

@@ -16,6 +16,7 @@ from pydantic_settings import SettingsConfigDict
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
 from vertebra.codec import CodecRegistry
 from vertebra.errors import CommandRefusedError, NotConnectedError, RemoteError
+from vertebra.goals import MAX_ENDED
 from vertebra.messages import Native
 from vertebra.service import (
     Context,
@@ -25,7 +26,6 @@ from vertebra.service import (
     run_service,
     serve_action,
 )
-from vertebra.service.goals import MAX_ENDED
 
 
 class CounterSettings(ServiceSettings):

@@ -23,6 +23,7 @@ from vertebra.errors import (
     TransportError,
     VertebraError,
 )
+from vertebra.goals import MAX_ENDED
 from vertebra.messages import Message, Native
 from vertebra.ros2.actions import (
     CANCEL_REFUSALS,
@@ -42,7 +43,6 @@ from vertebra.service.actions import (
     new_goal_id,
     read_json,
 )
-from vertebra.service.goals import MAX_ENDED
 from vertebra_ros2.carried import Kit
 from vertebra_ros2.routes import Action, Topic
 from vertebra_ros2.services import Clients

@@ -6,10 +6,13 @@ identities of 16 bytes, which are hexadecimal text here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final, Literal
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, Literal, TypeVar
 
+from vertebra.goals import Goal, Goals
 from vertebra.messages import Array
+
+G = TypeVar("G", bound=Goal)
 
 Part = Literal["send_goal", "get_result", "cancel_goal", "feedback", "status"]
 CANCEL_TYPE: Final = "action_msgs/srv/CancelGoal"
@@ -60,3 +63,33 @@ def stamp_of(time_ns: int) -> dict[str, int]:
 def ns_of(stamp: Mapping[str, int]) -> int:
     """Return the time in a record."""
     return stamp["sec"] * 10**9 + stamp["nanosec"]
+
+
+def info_of(goal: Goal) -> dict[str, Any]:
+    """Return the `GoalInfo` of a goal."""
+    return {"goal_id": uuid_of(goal.id), "stamp": stamp_of(goal.accepted_ns)}
+
+
+def status_of(goals: Iterable[Goal]) -> dict[str, Any]:
+    """Return the `GoalStatusArray` of goals."""
+    return {
+        "status_list": [
+            {"goal_info": info_of(goal), "status": STATES.index(goal.state)} for goal in goals
+        ]
+    }
+
+
+def to_cancel(goals: Goals[G], goal_id: str, stamp_ns: int) -> tuple[int, list[G]]:
+    """Return the code and the goals that a request to cancel means, as rcl_action reads it.
+
+    A goal without a time is that goal. A time is all goals that were accepted until then, and the
+    goal if one is named. Neither is all.
+    """
+    if goal_id != NO_GOAL and not stamp_ns:
+        goal = goals.get(goal_id)
+        if goal is None:
+            return UNKNOWN_GOAL, []
+        if not goal.cancelable:
+            return GOAL_TERMINATED, []
+        return 0, [goal]
+    return 0, goals.cancelable(stamp_ns or None, goal_id)

@@ -29,8 +29,8 @@ from vertebra.errors import (
     RemoteError,
     VertebraError,
 )
+from vertebra.goals import Ended, Goal, Goals
 from vertebra.messages import Native
-from vertebra.service.goals import Ended, Goal, Goals
 from vertebra.service.run import Context
 from vertebra.service.settings import ServiceSettings
 

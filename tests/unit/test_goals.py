@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vertebra.service.goals import KEEP_ENDED_NS, MAX_ENDED, Ended, Event, Goal, Goals
+from vertebra.goals import KEEP_ENDED_NS, MAX_ENDED, Ended, Event, Goal, Goals
 
 EVENTS: tuple[Event, ...] = get_args(Event)
 ENDED: tuple[Ended, ...] = get_args(Ended)
