@@ -53,7 +53,7 @@ class Writer(Closeable, Protocol):
         ...
 
     async def matched(self) -> None:
-        """Wait until somebody reads the topic."""
+        """Wait until somebody reads the topic; raise `NotConnectedError` if this is closed."""
         ...
 
     async def delivered(self, timeout_s: float) -> None:

@@ -283,6 +283,21 @@ class TransportSuite(ABC):
         assert reader.dropped > 0
         assert words(heard.payloads)[-1] == str(count - 1)
 
+    async def test_many_may_wait_for_a_reader_until_the_writer_closes(self, pair: Pair) -> None:
+        writer = pair.there.writer("/suite/matched", TEXT, Qos())
+        waiting = [asyncio.create_task(matched(writer)) for _ in range(3)]
+        await asyncio.sleep(0.05)
+        assert not any(one.done() for one in waiting)
+        pair.here.reader("/suite/matched", TEXT, Qos(), Heard())
+        await asyncio.gather(*waiting)
+        lonely = pair.there.writer("/suite/nobody", TEXT, Qos())
+        waiting = [asyncio.create_task(matched(lonely)) for _ in range(3)]
+        await asyncio.sleep(0.05)
+        lonely.close()
+        for one in (*waiting, lonely.matched()):
+            with pytest.raises(NotConnectedError, match="/suite/nobody"):
+                await one
+
     async def test_delivered_waits_for_who_reads(self, pair: Pair) -> None:
         heard = Heard()
         writer = pair.there.writer("/suite/delivered", TEXT, Qos())

@@ -223,6 +223,7 @@ class TopicWriter:
         self._dds = dds
         self._closed = False
         self._name = name
+        self._change: asyncio.Event | None = None
         self._writer = dds.make_writer(dds_name("topic", name), type_name, qos)
         dds.add_own(self._writer)
 
@@ -240,11 +241,14 @@ class TopicWriter:
         write(self._writer, payload)
 
     async def matched(self) -> None:
-        """Wait until somebody reads the topic."""
-        change = self._dds.follow_matches(self._writer)
-        while not self._writer.get_matched_subscriptions():
-            change.clear()
-            await change.wait()
+        """Wait until somebody reads the topic; raise `NotConnectedError` if this is closed."""
+        while not self._closed and not self._writer.get_matched_subscriptions():
+            if self._change is None:
+                self._change = self._dds.follow_matches(self._writer)
+            self._change.clear()
+            await self._change.wait()
+        if self._closed:
+            raise self._closed_error()
 
     async def delivered(self, timeout_s: float) -> None:
         """Wait until all who read the topic have what was written.
@@ -267,6 +271,8 @@ class TopicWriter:
         if not self._closed:
             self._closed = True
             self._dds.end(self._writer)
+            if self._change is not None:
+                self._change.set()  # who waits for a reader learns that none will come
 
 
 @asynccontextmanager

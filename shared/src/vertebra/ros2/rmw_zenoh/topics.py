@@ -116,7 +116,7 @@ class TopicWriter:
     def write(self, payload: bytes) -> None:
         """Send a payload."""
         if self._closed:
-            raise NotConnectedError(f"the writer of {self._name} is closed")
+            raise self._closed_error()
         self._sequence += 1
         attachment = Attachment(self._sequence, time.time_ns(), self._announced.gid).encode()
         body = zenoh.ZBytes(payload)
@@ -129,8 +129,13 @@ class TopicWriter:
             ) from error
 
     async def matched(self) -> None:
-        """Wait until somebody reads the topic."""
-        await self._session.until(lambda: self._session.readers(self._name))
+        """Wait until somebody reads the topic; raise `NotConnectedError` if this is closed."""
+        await self._session.until(lambda: self._closed or self._session.readers(self._name))
+        if self._closed:
+            raise self._closed_error()
+
+    def _closed_error(self) -> NotConnectedError:
+        return NotConnectedError(f"the writer of {self._name} is closed")
 
     async def delivered(self, timeout_s: float) -> None:
         """Wait until the router has what was written; who reads it confirms nothing.
