@@ -99,9 +99,17 @@ def test_a_position_outside_the_limits_is_refused_with_the_limit(desk: tuple[Up,
     assert '"limit":{"min":-' in said
 
 
+def test_curl_drives_the_base_and_watches_it(desk: tuple[Up, Path]) -> None:
+    said = run(in_fleet(2), *desk).stdout
+    assert '"stops_in_s":1.0' in said
+    events = re.findall(r"^data: .*\"position_m\":\[(-?[\d.e-]+),", said, re.MULTILINE)
+    assert len(events) > 5
+    assert float(events[-1]) < float(events[0])
+
+
 def test_shell_commands_show_and_move(desk: tuple[Up, Path]) -> None:
     said = run(
-        in_fleet(2)._replace(text=in_fleet(2).text.replace("doctor", "doctor || true")), *desk
+        in_fleet(3)._replace(text=in_fleet(3).text.replace("doctor", "doctor || true")), *desk
     )
     assert "vizzy/head/state" in said.stdout
     assert '"reached"' in said.stdout
@@ -116,7 +124,7 @@ def run_yarp(block: Block, up: Up, folder: Path) -> str:
 
 
 def test_tools_of_yarp(desk: tuple[Up, Path]) -> None:
-    said = run_yarp(in_fleet(3), *desk)
+    said = run_yarp(in_fleet(4), *desk)
     assert "registration name /vizzy/imu ip 127.0.0.1 port " in said
     assert re.search(r"^\d+ \d+\.\d{4}     -?\d.* -?\d", said, re.MULTILINE)
     assert "Response: [is] [axes] 6 " in said
