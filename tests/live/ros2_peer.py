@@ -323,6 +323,20 @@ class SetReply(IdlStruct, typename=f"{PARAMETERS}SetParametersAtomically_Respons
 
 
 @dataclass
+class SetEachRequest(IdlStruct, typename=f"{PARAMETERS}SetParameters_Request_"):
+    guid: uint64
+    seq: int64
+    parameters: sequence[Parameter]
+
+
+@dataclass
+class SetEachReply(IdlStruct, typename=f"{PARAMETERS}SetParameters_Response_"):
+    guid: uint64
+    seq: int64
+    results: sequence[SetResult]
+
+
+@dataclass
 class GetParametersRequest(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Request_"):
     guid: uint64
     seq: int64
@@ -794,6 +808,7 @@ def have_parameters(peer: Peer) -> None:
         "get_parameters": (GetParametersRequest, GetParametersReply),
         "get_parameter_types": (TypesRequest, TypesReply),
         "set_parameters_atomically": (SetRequest, SetReply),
+        "set_parameters": (SetEachRequest, SetEachReply),
     }
     pairs = []
     for number, (name, (request, reply)) in enumerate(kinds.items()):
@@ -809,6 +824,8 @@ def have_parameters(peer: Peer) -> None:
     def answer(request: Any) -> Any:
         if isinstance(request, ListRequest):
             return ListedParameters(list(values), [])
+        if isinstance(request, SetEachRequest):
+            return [answer(SetRequest(0, 0, [one])) for one in request.parameters]
         if isinstance(request, SetRequest):
             for one in request.parameters:
                 if one.name not in values or one.value.double_value >= 100:

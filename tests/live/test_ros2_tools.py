@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -89,6 +90,60 @@ def test_pub_reaches_a_subscriber(environment: Environment) -> None:
         assert listener.stdout.readline() == '["heard", "hi"]\n'
 
 
+def test_goal_is_followed_to_its_end(environment: Environment) -> None:
+    with peer(environment, "count_up"):
+        listed = tool(environment, "actions")
+        done = tool(environment, "send_goal", "/fibonacci", '{"order": 4}')
+        refused = tool(environment, "send_goal", "/fibonacci", '{"order": -4}')
+    assert "/fibonacci  example_interfaces/action/Fibonacci\n" in listed.stdout
+    assert done.returncode == 0, done.stderr
+    parts = done.stdout.split("---\n")
+    assert parts[0].startswith("accepted: ")
+    assert parts[1] == "sequence: [0, 1, 1]\n"
+    assert "status: succeeded\n" in parts[-1]
+    assert "[0, 1, 1, 2, 3]" in parts[-1]
+    assert refused.returncode == 1
+    assert "the action server of /fibonacci refuses this goal" in refused.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--timeout", "1")])
+def test_goal_is_cancelled_with_the_program(
+    environment: Environment, words: tuple[str, ...]
+) -> None:
+    with peer(environment, "count_up") as server:
+        command = [sys.executable, "-m", "vertebra.cli", "ros2", "send_goal", "/fibonacci"]
+        with subprocess.Popen(
+            [*command, '{"order": 100000}', *words], env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        ) as sending:  # fmt: skip
+            assert sending.stdout is not None
+            goal_id = sending.stdout.readline().removeprefix("accepted: ").strip()
+            if not words:
+                sending.send_signal(signal.SIGINT)
+            out, errors = sending.communicate(timeout=10)
+        assert f"cancelled: {goal_id}\n" in out
+        assert sending.returncode == (1 if words else 0), errors
+        assert server.stdout is not None
+        assert server.stdout.readline() == f'["cancelled", "{goal_id}"]\n'
+
+
+def test_parameters_are_listed_read_and_set(environment: Environment) -> None:
+    with peer(environment, "have_parameters"):
+        listed = tool(environment, "param", "list")
+        assert tool(environment, "param", "set", "/lab/camera", "rate", "5").returncode == 0
+        read = tool(environment, "param", "get", "/lab/camera")
+        refused = tool(environment, "param", "set", "/lab/camera", "rate", "500")
+        unfit = tool(environment, "param", "set", "/lab/camera", "rate", "fast")
+        unknown = tool(environment, "param", "get", "/lab/camera", "rat")
+    rows = [line.split() for line in listed.stdout.splitlines()]
+    assert ["/lab/camera", "many", "double", "array"] in rows
+    assert ["/lab/camera", "rate", "double"] in rows
+    assert read.stdout == "many: [1.5]\nrate: 5.0\n", read.stderr
+    assert "/lab/camera does not set rate: rate is below 100" in refused.stderr
+    assert "'fast' is string, the parameter is double" in unfit.stderr
+    assert "/lab/camera has not all of the parameters rat" in unknown.stderr
+
+
 def test_actions_of_nobody(environment: Environment) -> None:
     assert tool(environment, "actions", "--wait", "0.1").stdout == "ACTION  TYPE\n"
 
@@ -99,6 +154,11 @@ def test_actions_of_nobody(environment: Environment) -> None:
         (["call", "/nobody", "--wait", "0.1"], "nobody offers the ROS service /nobody"),
         (["pub", "/a", "std_msgs/msg/String", '{"dat": 1}'], "there is no field 'dat'"),
         (["pub", "/a", "lab/msg/No", "{}"], "the ROS type lab/msg/No is not known"),
+        (
+            ["send_goal", "/nobody", "--wait", "0.1"],
+            "nobody offers the ROS service /nobody/_action",
+        ),
+        (["param", "get", "/nobody", "--wait", "0.1"], "nobody offers the ROS service /nobody/"),
         (["echo", "a-b"], "a ROS name is '/' and tokens"),
         (["pub", "/a", "std_msgs/msg/String", "data"], "'data' is not JSON"),
         (["topics", "--interface", "nowhere0"], "DDS does not start in domain"),

@@ -49,6 +49,41 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     part.add_argument("--timeout", type=float, default=10.0, metavar="S", help="default: 10 s")
     _set_run(part, "call")
 
+    part = parts.add_parser(
+        "send_goal", help="send a goal to an action and follow it; Ctrl-C cancels it"
+    )
+    part.add_argument("name", metavar="ACTION")
+    part.add_argument("fields", metavar="JSON", type=_map, nargs="?", default={})
+    part.add_argument(
+        "--timeout", type=float, metavar="S", help="cancel it after this time (default: never)"
+    )
+    _set_run(part, "send_goal")
+
+    _add_parameters(parts.add_parser("param", help="the parameters of nodes: list, get, set"))
+
+
+def _add_parameters(parser: argparse.ArgumentParser) -> None:
+    parts = parser.add_subparsers(metavar="WORD", required=True)
+    part = parts.add_parser("list", help="list the parameters of a node, or of all")
+    part.add_argument("node", metavar="NODE", nargs="?", default="")
+    _set_run(part, "param_list")
+    part = parts.add_parser("get", help="print parameters of a node, all if none is named")
+    part.add_argument("node", metavar="NODE")
+    part.add_argument("names", metavar="NAME", nargs="*")
+    _set_run(part, "param_get")
+    part = parts.add_parser("set", help="set a parameter of a node")
+    part.add_argument("node", metavar="NODE")
+    part.add_argument("name", metavar="NAME")
+    part.add_argument("value", metavar="VALUE", type=_value, help="JSON; what is none is text")
+    _set_run(part, "param_set")
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
 
 def _map(text: str) -> dict[str, Any]:
     try:
