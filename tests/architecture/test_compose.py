@@ -19,6 +19,9 @@ LAYERS: Final = ("base", "arrays", "pictures", "vision")
 """The stages of the Dockerfile that services build on."""
 VARIABLE: Final = re.compile(r"\$\{(?P<name>\w+)(?P<default>:-)?")
 
+IMAGES_OF: Final = {"ros2_rclpy": "ros2"}
+"""Services that are another one in another image."""
+
 every_service = pytest.mark.parametrize("name", sorted(SERVICES))
 
 
@@ -51,21 +54,35 @@ def test_every_service_folder_is_in_the_fleet() -> None:
         if not file.parent.name.startswith("_")
     }
 
-    assert set(SERVICES) == folders
+    assert set(SERVICES) - set(IMAGES_OF) == folders
+    assert set(IMAGES_OF.values()) <= folders
 
 
-def test_only_the_camera_is_off_by_default() -> None:
-    assert {name for name, service in SERVICES.items() if "profiles" in service} == {"camera"}
+def test_what_is_off_by_default_has_a_profile() -> None:
+    profiles = {name: one["profiles"] for name, one in SERVICES.items() if "profiles" in one}
+
+    assert profiles == {"camera": ["camera"], "ros2_rclpy": ["rclpy"]}
+
+
+def test_ros_itself_takes_the_place_of_our_own_node() -> None:
+    ours, theirs = SERVICES["ros2"]["environment"], SERVICES["ros2_rclpy"]["environment"]
+
+    assert theirs["VERTEBRA_ROS2_DRIVER"] == "rclpy"
+    assert {name for name in ours if theirs[name] != ours[name]} == {"VERTEBRA_ROS2_DRIVER"}
+    assert theirs["VERTEBRA_INSTANCE"] != "1", "both may run, and must know of each other"
+    assert stages()["ros2_rclpy"] == "ros:jazzy-ros-base"
 
 
 @every_service
 def test_a_service_runs_its_own_module(name: str) -> None:
     service = SERVICES[name]
 
-    assert service["command"] == ["python", "-m", f"vertebra_{name}"]
-    assert (ROOT / f"services/{name}/src/vertebra_{name}/__main__.py").is_file()
+    folder = IMAGES_OF.get(name, name)
+
+    assert service["command"] == ["python", "-m", f"vertebra_{folder}"]
+    assert (ROOT / f"services/{folder}/src/vertebra_{folder}/__main__.py").is_file()
     assert service["image"] == f"vertebra/{name}"
-    assert service["build"]["args"]["SERVICE"] == name
+    assert service["build"]["args"]["SERVICE"] == folder
 
 
 @every_service
@@ -128,7 +145,7 @@ def test_every_variable_has_a_default_and_a_local_value_with_its_reason() -> Non
     assert all(used.values()), "a variable without a default breaks the whole file"
 
 
-@every_service
+@pytest.mark.parametrize("name", sorted(set(SERVICES) - set(IMAGES_OF)))
 def test_an_image_holds_what_its_service_needs_and_no_more(name: str) -> None:
     layers = layers_below(SERVICES[name]["build"]["args"]["LAYER"])
     below = set().union(*(pins(layer) for layer in layers))
