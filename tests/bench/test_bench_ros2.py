@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -15,6 +17,7 @@ from .peers.peer import Stream, Taken
 from .peers.ros2 import RUN
 from .processes import Exchange, Pair, Peer, router, started
 from .report import Goal, Report, Table, duration, median, percentile
+from .test_bench_steady import GROWN_BYTES, growth_bytes
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(400)]
 
@@ -38,9 +41,7 @@ topics:
 """
 SHAPES: Final = {"1 kB": (18, 18, 3), "VGA image": (480, 640, 3)}
 GOALS_NS: Final = {"1 kB": 0.5e6, "VGA image": 3e6}
-RATE_HZ: Final = 100.0
-IMAGE_HZ: Final = 30.0
-JOINTS_HZ: Final = 1000.0
+RATES_HZ: Final = {"1 kB": 1000, "VGA image": 30}
 JOINTS: Final = 20
 """Which are 1 kB."""
 WATCH_S: Final = 0.5
@@ -104,13 +105,14 @@ WAYS: Final = {
 async def test_the_adapter_adds_little_to_dds(plan: Plan, report: Report, tmp_path: Path) -> None:
     rows = []
     for what, shape in SHAPES.items():
+        rate_hz = RATES_HZ[what]
         async with lab(tmp_path) as bench:
             pairs = {way: await bench.pair(way, shape) for way in WAYS}
             found: dict[str, list[Exchange]] = {way: [] for way in WAYS}
             await bench.adapter.ask(RUN, str)
             for _ in range(plan.rounds):
                 for way, pair in pairs.items():
-                    found[way].append(await pair.exchange(plan.images, rate_hz=RATE_HZ))
+                    found[way].append(await pair.exchange(rate_hz, rate_hz=rate_hz))
             own_ns = (await bench.adapter.ask("take", Taken)).latency_ns
         report.raw[f"ros2 adapter, {what}"] = found
         for way, words in WAYS.items():
@@ -143,5 +145,50 @@ async def test_the_adapter_adds_little_to_dds(plan: Plan, report: Report, tmp_pa
                 )
             )
     columns = ("way", "median", "p99", "lost")
-    title = f"One-way latency through the ROS 2 adapter, {RATE_HZ:.0f} Hz, a process each"
+    title = "One-way latency through the ROS 2 adapter, a process each; 1 kB at 1 kHz, VGA at 30 Hz"
+    report.tables.append(Table(title, columns, rows))
+
+
+async def test_images_and_joints_cross_steadily(plan: Plan, report: Report, tmp_path: Path) -> None:
+    """VGA images at 30 Hz and 1 kB of joints at 1 kHz at the same time, first out, then in."""
+    rows = []
+    for way in ("out", "in"):
+        async with lab(tmp_path) as bench:
+            pairs = {
+                30: await bench.pair(way, SHAPES["VGA image"]),
+                1000: await bench.pair(way, (JOINTS,)),
+            }
+            began_s, began_cpu_s = time.monotonic(), bench.adapter.cpu_s()
+            exchanges = [
+                pair.exchange(round(plan.steady_s * rate_hz), rate_hz=rate_hz, watch_s=WATCH_S)
+                for rate_hz, pair in pairs.items()
+            ]
+            images, joints = await asyncio.gather(*exchanges)
+            cpu = (bench.adapter.cpu_s() - began_cpu_s) / (time.monotonic() - began_s)
+        report.raw[f"ros2 steady, {way}"] = {"images": images, "joints": joints}
+        grown_bytes = growth_bytes(joints)
+        for what, exchange in (("VGA image at 30 Hz", images), ("joints at 1 kHz", joints)):
+            rows.append(
+                (
+                    f"{what}: {WAYS[way]}",
+                    f"{exchange.sent_hz:.0f} Hz",
+                    duration(median(exchange.latency_ns)),
+                    duration(percentile(exchange.latency_ns, 99)),
+                    str(exchange.lost),
+                    f"{cpu:.0%}",
+                    f"{grown_bytes / 1e6:+.1f} MB",
+                )
+            )
+        lost = images.lost + joints.lost
+        report.goals.append(
+            Goal(
+                f"VGA at 30 Hz and joints at 1 kHz, {WAYS[way]}",
+                "itself",
+                "no loss, no growth",
+                f"{lost} lost, {grown_bytes / 1e6:+.1f} MB",
+                lost == 0 and grown_bytes < GROWN_BYTES,
+            )
+        )
+    columns = ("stream", "sent at", "median", "p99", "lost", "CPU of the adapter", "memory grows")
+    title = f"Images and joints through the ROS 2 adapter for {plan.steady_s:.0f} s"
     report.tables.append(Table(title, columns, rows))

@@ -65,6 +65,10 @@ def topic_of(participant: DomainParticipant, stream: Stream) -> Topic[Any]:
     return Topic(participant, f"rt/bench/{stream.option}", kind)
 
 
+def reader_of(participant: DomainParticipant, stream: Stream) -> Any:
+    return DataReader(participant, topic_of(participant, stream), qos=qos(depth=DEPTH))
+
+
 def names(count: int) -> tuple[str, ...]:
     return tuple(f"joint{number}" for number in range(count))
 
@@ -99,7 +103,7 @@ def send(stream: Stream) -> None:
 
 def receive(stream: Stream) -> None:
     participant = DomainParticipant(int(stream.endpoint))
-    reader = DataReader(participant, topic_of(participant, stream), qos=qos(depth=DEPTH))
+    reader = reader_of(participant, stream)
     waitset = WaitSet(participant)
     waitset.attach(ReadCondition(reader, SampleState.NotRead | ViewState.Any | InstanceState.Any))
     ended = threading.Event()

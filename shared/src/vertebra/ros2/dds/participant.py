@@ -7,6 +7,7 @@ alone touches readers and the wait set, so that nothing is deleted while it is i
 from __future__ import annotations
 
 import asyncio
+import ctypes as ct
 import logging
 import threading
 import time
@@ -41,6 +42,7 @@ from vertebra.ros2.qos import Qos
 log = logging.getLogger(__name__)
 
 _BATCH: Final = 64
+_MOST_WOKEN: Final = 64
 _TELL_EVERY_S: Final = 10.0
 _FOREVER: Final = duration(infinite=True)
 _NOT_READ: Final = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -106,6 +108,28 @@ class Input:
                 log.warning("refused a sample of %s: %s", self._name, error)
 
 
+class WakeSet(WaitSet):
+    """A wait set that says what has woken it, so that not everything has to be asked each time."""
+
+    def attach(self, entity: Entity) -> None:
+        """Let an entity wake us; harmless when repeated."""
+        if self.is_attached(entity):
+            return
+        handle = handle_of(entity)
+        result = self._waitset_attach(self._ref, handle, handle)
+        if result < 0:
+            raise DDSException(result, f"when attaching {entity!r}")
+        self.attached.append((entity, handle))
+
+    def woken(self) -> list[int]:
+        """Wait, and return the handles of entities that have triggered; more come next time."""
+        handles = (ct.c_void_p * _MOST_WOKEN)()
+        count = self._waitset_wait(self._ref, handles, _MOST_WOKEN, _FOREVER)
+        if count < 0:
+            raise DDSException(count, "when waiting")
+        return [handle for handle in handles[: min(count, _MOST_WOKEN)] if handle is not None]
+
+
 class Participant:
     """A participant, its endpoints, and the thread that waits for them.
 
@@ -124,14 +148,14 @@ class Participant:
         self._loop = asyncio.get_running_loop()
         self.failed: asyncio.Future[None] = self._loop.create_future()
         self._commands: deque[Callable[[], None]] = deque()
-        self._inputs: list[Input] = []
-        self._matched: dict[Any, asyncio.Event] = {}
+        self._inputs: dict[int, Input] = {}
+        self._matched: dict[int, tuple[Any, asyncio.Event]] = {}
         self._topics: dict[str, Any] = {}
         self._users: Counter[str] = Counter()
         self._stopping = self.closed = False
         self.entity = DomainParticipant(domain_id, qos=DdsQos(Policy.Userdata(data=b"enclave=/;")))
         self.gid = self.entity.guid.bytes
-        self._waitset = WaitSet(self.entity)
+        self._waitset = WakeSet(self.entity)
         self._guard = GuardCondition(self.entity)
         self._waitset.attach(self._guard)
         self._thread = threading.Thread(target=self._run, name="ros2 dds", daemon=True)
@@ -182,7 +206,7 @@ class Participant:
         """Take what comes of an input from now on."""
 
         def attach() -> None:
-            self._inputs.append(one)
+            self._inputs[handle_of(one.condition)] = one
             self._waitset.attach(one.condition)
 
         self._in_thread(attach)
@@ -193,7 +217,7 @@ class Participant:
         entity.set_status_mask(_matched_status(entity))
 
         def attach() -> None:
-            self._matched[entity] = event
+            self._matched[handle_of(entity)] = (entity, event)
             self._waitset.attach(entity)
 
         self._in_thread(attach)
@@ -214,10 +238,10 @@ class Participant:
         topic = self._release(entity.topic.name)
 
         def end() -> None:
-            if self._matched.pop(entity, None) is not None:
+            if self._matched.pop(handle_of(entity), None) is not None:
                 self._waitset.detach(entity)
-            for one in [one for one in self._inputs if one.reader is entity]:
-                self._inputs.remove(one)
+            for one in [one for one in self._inputs.values() if one.reader is entity]:
+                del self._inputs[handle_of(one.condition)]
                 self._waitset.detach(one.condition)
                 delete(one.condition)
             delete(entity)
@@ -233,20 +257,20 @@ class Participant:
     def _run(self) -> None:
         try:
             while not self._stopping:
-                self._waitset.wait(_FOREVER)
+                woken = self._waitset.woken()
                 self._guard.take()
                 while self._commands:
                     self._commands.popleft()()
-                self._look()
+                self._look(woken)
         except Exception as error:  # noqa: BLE001  - a thread that ends must not end silently
             failure = TransportError(f"DDS stopped: {error!r}; restart this service")
             self._tell(lambda: self._fail(failure))
 
-    def _look(self) -> None:
-        for entity, event in self._matched.items():
+    def _look(self, woken: list[int]) -> None:
+        for entity, event in filter(None, map(self._matched.get, woken)):
             if entity.take_status(_matched_status(entity)):
                 self._tell(event.set)
-        came = [one for one in self._inputs if one.take()]
+        came = [one for one in filter(None, map(self._inputs.get, woken)) if one.take()]
         if came:
             self._tell(lambda: _hand_over(came))
 
@@ -268,13 +292,18 @@ class Participant:
         self.failed.cancel()
         while self._commands:
             self._commands.popleft()()
-        for one in self._inputs:
+        for one in self._inputs.values():
             delete(one.condition)
             delete(one.reader)
         self.closed = True
         for entity in (*self.own, *self._topics.values(), self._waitset, self._guard):
             delete(entity)
         delete(self.entity)
+
+
+def handle_of(entity: Entity) -> int:
+    """Return the number by which DDS knows an entity."""
+    return int(entity._ref)  # noqa: SLF001  - the library has no other way
 
 
 def _hand_over(inputs: list[Input]) -> None:
