@@ -8,6 +8,7 @@ A stream of three axes is `sensor_msgs/msg/Image` on the topic `/bench/<option>`
 from __future__ import annotations
 
 import asyncio
+import math
 import struct
 import threading
 import time
@@ -109,16 +110,16 @@ def receive(stream: Stream) -> None:
     ended = threading.Event()
     arrivals = Arrivals(ended.set)
     arrivals.listen()
-    if len(stream.shape) == 3:
-        from_end = len(stream.memory())
-        take = lambda payload: payload[-from_end:][: STAMP.size]  # noqa: E731
-    else:
-        take = lambda payload: stamp(EFFORTS.unpack(payload[-EFFORTS.size :]))  # noqa: E731
+    is_image, pixels = len(stream.shape) == 3, math.prod(stream.shape)
     while not ended.is_set():
         waitset.wait(duration(milliseconds=200))
         for sample in reader.take(DEPTH):
             if sample.sample_info.valid_data:
-                arrivals.add(take(sample.payload))
+                payload: bytes = sample.payload
+                if is_image:
+                    arrivals.add(memoryview(payload)[-pixels:])
+                else:
+                    arrivals.add(stamp(EFFORTS.unpack(payload[-EFFORTS.size :])))
 
 
 def stamp(efforts: Sequence[float]) -> bytes:
