@@ -219,7 +219,7 @@ async def test_drive_repeats_itself_and_is_silent_then(lab: Lab) -> None:
     assert watch.said("cmd_vel") == told
 
 
-async def test_stop_beats_a_drive_and_navigation(lab: Lab) -> None:
+async def test_stop_beats_a_drive(lab: Lab) -> None:
     watch = await lab.peer("watch")
     await watch.until("odom")
     driving = asyncio.create_task(keep_driving(lab))
@@ -233,6 +233,97 @@ async def test_stop_beats_a_drive_and_navigation(lab: Lab) -> None:
     after = watch.said("cmd_vel")[began:]
     assert set(map(tuple, after[after.index([0.0, 0.0]) :])) == {(0.0, 0.0)}
     await watch.until("odom", lambda odometry: odometry[5] == 0)
+
+
+async def test_stop_cancels_the_navigation(lab: Lab) -> None:
+    goal = await lab.call("navigate/goal", **to(3.0, -1.0))
+    await moves(lab)
+    assert await lab.call("stop") == {"cancelling": [goal["goal_id"]]}
+    ended = await lab.call("navigate/result", **goal)
+    assert ended["status"] == "canceled"
+    await asyncio.sleep(1.0)  # it brakes
+    odometry = await lab.next("odometry", Odometry)
+    assert odometry.twist.linear_m_s[0] == 0
+    await asyncio.sleep(1.5)  # longer than zero is repeated
+    assert await lab.x_m() == odometry.pose.position_m[0]
+
+
+async def test_it_navigates_around_the_pillar_and_tells_how_it_goes(lab: Lab) -> None:
+    feedback = lab.read("navigate/feedback", Native)
+    goal = await lab.call("navigate/goal", **to(2.5, 0.4, 90))
+    ended = await lab.call("navigate/result", timeout_s=40, **goal)
+    assert ended == {"status": "succeeded", "result": {"error_code": 0}}
+    odometry = await lab.next("odometry", Odometry)
+    x_m, y_m, _ = odometry.pose.position_m
+    assert math.dist((x_m, y_m), (2.5, 0.4)) < 0.06
+    _, _, z, w = odometry.pose.orientation_xyzw
+    assert math.degrees(2 * math.atan2(z, w)) == pytest.approx(90, abs=3)
+    told = []
+    while (received := feedback.subscription.take()) is not None:
+        message, _ = CodecRegistry().decode(received.payload, received.encoding)
+        assert isinstance(message, Native)
+        assert message.value["goal_id"] == goal["goal_id"]
+        told.append(message.value["feedback"])
+    ways_m = [one["distance_remaining"] for one in told]
+    assert len(told) > 15
+    assert ways_m[0] > 2.5
+    assert ways_m[-1] < 0.1
+    assert told[-1]["navigation_time"]["sec"] >= 3
+    assert told[0]["current_pose"]["header"]["frame_id"] == "odom"
+    assert any(abs(one["current_pose"]["pose"]["position"]["y"]) > 0.1 for one in told)
+
+
+async def test_navigation_is_cancelled(lab: Lab) -> None:
+    goal = await lab.call("navigate/goal", **to(3.0, -1.0))
+    await moves(lab)
+    assert await lab.call("navigate/cancel", **goal) == {"cancelling": [goal["goal_id"]]}
+    assert (await lab.call("navigate/result", **goal))["status"] == "canceled"
+    assert (await lab.next("odometry", Odometry)).twist.linear_m_s[0] == 0
+
+
+@pytest.mark.parametrize("there", [(1.5, 0.3), (3.9, 0.0), (50.0, 0.0)])
+async def test_goal_in_a_wall_is_aborted(lab: Lab, there: tuple[float, float]) -> None:
+    goal = await lab.call("navigate/goal", **to(*there))
+    ended = await lab.call("navigate/result", **goal)
+    assert ended == {"status": "aborted", "result": {"error_code": 206}}
+    assert await lab.x_m() == 0
+
+
+async def test_goal_in_a_frame_that_is_not_known_is_refused(lab: Lab) -> None:
+    goal = to(1.0, 0.0)
+    goal["pose"]["header"] = {"frame_id": "kitchen"}
+    with pytest.raises(RemoteError, match="refuses this goal"):
+        await lab.call("navigate/goal", **goal)
+
+
+async def test_a_later_goal_takes_the_place_of_the_earlier(lab: Lab) -> None:
+    first = await lab.call("navigate/goal", **to(3.0, -1.0))
+    second = await lab.call("navigate/goal", **to(0.5, 0.0))
+    assert (await lab.call("navigate/result", **first))["status"] == "aborted"
+    assert (await lab.call("navigate/result", timeout_s=20, **second))["status"] == "succeeded"
+
+
+async def test_who_drives_by_hand_makes_the_navigation_wait(lab: Lab) -> None:
+    goal = await lab.call("navigate/goal", **to(1.0, -1.0))
+    for _ in range(6):
+        await lab.call("drive", linear_m_s=-0.3, for_s=0.5)
+        await asyncio.sleep(0.25)
+    assert await lab.x_m() < -0.1
+    assert (await lab.call("navigate/result", timeout_s=30, **goal))["status"] == "succeeded"
+    assert await lab.x_m() == pytest.approx(1.0, abs=0.06)
+
+
+def to(x: float, y: float, turn_deg: float = 0.0) -> dict[str, Any]:
+    half = math.radians(turn_deg / 2)
+    orientation = {"z": math.sin(half), "w": math.cos(half)}
+    pose = {"position": {"x": x, "y": y}, "orientation": orientation}
+    return {"pose": {"header": {"frame_id": "odom"}, "pose": pose}}
+
+
+async def moves(lab: Lab) -> None:
+    async with asyncio.timeout(10):
+        while (await lab.next("odometry", Odometry)).twist.linear_m_s[0] < 0.2:
+            pass
 
 
 async def keep_driving(lab: Lab) -> None:

@@ -16,6 +16,7 @@ from vertebra_simulator.navigator import (
     ARRIVED_M,
     ARRIVED_RAD,
     GIVES_UP_AFTER_S,
+    Failure,
     Navigation,
     Outlook,
 )
@@ -99,7 +100,9 @@ def test_the_shorter_side_is_taken() -> None:
 )  # fmt: skip
 def test_a_goal_that_is_taken_is_given_up_at_once(goal: Pose, obstacle: str) -> None:
     base = Base(ROOM)
-    assert navigate(base, ROOM, goal).problem == f"{obstacle} is where it should go"
+    outlook = navigate(base, ROOM, goal)
+    assert outlook.failure is Failure.GOAL_OCCUPIED
+    assert outlook.problem == f"{obstacle} is where it should go"
     assert base.pose == Pose()
 
 
@@ -115,6 +118,7 @@ def test_it_gives_up_when_it_comes_no_nearer() -> None:
     while not (outlook := navigation.look(base)).problem:
         base.advance_to(base.time_s + TICK_S)  # nobody turns its wheels
         assert base.time_s < GIVES_UP_AFTER_S + 1
+    assert outlook.failure is Failure.NO_PROGRESS
     assert outlook.problem == "it came no nearer in 10 s"
     assert base.time_s >= GIVES_UP_AFTER_S
 

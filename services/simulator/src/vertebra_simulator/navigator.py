@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 from vertebra_simulator.base import (
@@ -39,6 +40,14 @@ _AHEAD_RAD: Final = math.radians(25)
 """With more to turn than this the base turns on the spot."""
 
 
+class Failure(IntEnum):
+    """Why the base gives up, in the numbers of Nav2's planner and controller in Jazzy."""
+
+    NO_PROGRESS = 105
+    GOAL_OCCUPIED = 206
+    NO_WAY = 208
+
+
 @dataclass(frozen=True, slots=True)
 class Outlook:
     """What is left of a way.
@@ -48,13 +57,15 @@ class Outlook:
         distance_m: How far it is.
         remaining_s: About how long it takes.
         arrived: Whether the base stands where it should.
-        problem: Why it cannot go on; empty if it can.
+        failure: Why it cannot go on, if it cannot.
+        problem: That in words.
     """
 
     velocity: Velocity = STILL
     distance_m: float = 0.0
     remaining_s: float = 0.0
     arrived: bool = False
+    failure: Failure | None = None
     problem: str = ""
 
 
@@ -72,10 +83,11 @@ class Navigation:
         """Return what to do from where the base is now."""
         obstacle = self._plan.obstacle(self.goal.place, RADIUS_M)
         if obstacle:
-            return Outlook(problem=f"{obstacle} is where it should go")
+            problem = f"{obstacle} is where it should go"
+            return Outlook(failure=Failure.GOAL_OCCUPIED, problem=problem)
         way = self._plan.way(base.pose.place, self.goal.place, RADIUS_M + _CLEARANCE_M)
         if not way:
-            return Outlook(problem="no way leads there")
+            return Outlook(failure=Failure.NO_WAY, problem="no way leads there")
         distance_m = sum(map(math.dist, way, way[1:]))
         last_turn = turn_of(self.goal.heading_rad - base.pose.heading_rad)
         # Once there, the base turns; what it drifts meanwhile is not worth another approach.
@@ -83,10 +95,8 @@ class Navigation:
         if self._turning:
             return self._turn(base, distance_m, last_turn)
         if self._stalled(distance_m, base.time_s):
-            return Outlook(
-                distance_m=distance_m,
-                problem=f"it came no nearer in {GIVES_UP_AFTER_S:g} s",
-            )
+            problem = f"it came no nearer in {GIVES_UP_AFTER_S:g} s"
+            return Outlook(failure=Failure.NO_PROGRESS, problem=problem)
         bearing = math.atan2(way[1].y - base.pose.y_m, way[1].x - base.pose.x_m)
         turn = turn_of(bearing - base.pose.heading_rad)
         velocity = Velocity(_ahead(distance_m, math.dist(*way[:2]), turn), _turn(turn))

@@ -9,6 +9,7 @@ from typing import Any, Final
 from vertebra.messages import Array
 from vertebra_simulator.base import Base, Pose, Velocity
 from vertebra_simulator.floorplan import BEAMS, LASER_MAX_M, LASER_MIN_M, FloorPlan
+from vertebra_simulator.navigator import Outlook
 
 ODOM: Final = "odom"
 BASE_LINK: Final = "base_link"
@@ -93,6 +94,16 @@ def scan(base: Base, plan: FloorPlan, rate_hz: float, stamp_ns: int) -> Record:
         "range_min": LASER_MIN_M,
         "range_max": LASER_MAX_M,
         "ranges": Array.of(plan.scan(base.pose.place, base.pose.heading_rad).data),
+    }
+
+
+def progress(base: Base, outlook: Outlook, driven_s: float, stamp_ns: int) -> Record:
+    """Return the feedback of `nav2_msgs/action/NavigateToPose`."""
+    return {
+        "current_pose": {"header": header(stamp_ns), "pose": pose_of(base.pose)},
+        "navigation_time": time_of(round(driven_s * 1e9)),
+        "estimated_time_remaining": time_of(round(outlook.remaining_s * 1e9)),
+        "distance_remaining": outlook.distance_m,
     }
 
 

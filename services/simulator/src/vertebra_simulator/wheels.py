@@ -17,6 +17,7 @@ from vertebra.service import Context
 from vertebra_simulator import records
 from vertebra_simulator.base import COMMAND_HOLDS_S, Base
 from vertebra_simulator.floorplan import ROOM
+from vertebra_simulator.journeys import Journeys
 from vertebra_simulator.settings import SimulatorSettings
 from vertebra_simulator.ticks import ticks
 
@@ -78,9 +79,10 @@ class Wheels:
             name: transport.writer(name, *offered) for name, offered in TOPICS.items()
         }
         transport.reader(CMD_VEL, _TWIST, Qos(depth=1), self._drive)
+        self._journeys = Journeys(transport, cdr, self._base, ROOM)
 
     def _drive(self, payload: bytes, _: int) -> None:
-        """Drive as somebody says, who has the base for as long as the command holds."""
+        """Drive as somebody says; while that holds, the navigation waits."""
         self._live()
         self._by_hand_until_s = self._base.time_s + COMMAND_HOLDS_S
         try:
@@ -93,6 +95,7 @@ class Wheels:
         """Let the base move, and tell where it is."""
         async for _ in ticks(MOVE_RATE_HZ, self._skipped.inc):
             self._live()
+            self._journeys.go_on(by_hand=self._base.time_s < self._by_hand_until_s)
             now_ns = time.time_ns()
             self._tell("/odom", records.odometry(self._base, now_ns))
             self._tell("/tf", records.transform(self._base, now_ns))
@@ -109,7 +112,7 @@ class Wheels:
         """Tell how the base is doing."""
         async for _ in ticks(DIAGNOSTICS_RATE_HZ, self._skipped.inc):
             now_ns = time.time_ns()
-            told = records.diagnostics(self._base, self._robot, "idle", now_ns)
+            told = records.diagnostics(self._base, self._robot, self._journeys.doing, now_ns)
             self._tell("/diagnostics", told)
 
     def _tell(self, topic: str, record: Any) -> None:
