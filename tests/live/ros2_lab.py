@@ -9,7 +9,7 @@ import os
 import random
 import sys
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -113,12 +113,21 @@ async def adapter(
         assert service.done()
 
 
+def peer(place: Lab | Participation, *role: str) -> AbstractAsyncContextManager[Peer]:
+    """Run a node of Cyclone DDS."""
+    environment = {"ROS_DOMAIN_ID": str(place.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK}
+    return running(PEER, *role, environment=environment)
+
+
 @asynccontextmanager
-async def peer(place: Lab | Participation, *role: str) -> AsyncIterator[Peer]:
+async def running(
+    program: Path, *arguments: str, environment: dict[str, str]
+) -> AsyncIterator[Peer]:
+    """Run a program that prints lines of JSON and ends with its input."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, str(PEER), *role,
+        sys.executable, str(program), *arguments,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-        env={**os.environ, "ROS_DOMAIN_ID": str(place.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK},
+        env={**os.environ, **environment},
     )  # fmt: skip
     lines: asyncio.Queue[list[Any]] = asyncio.Queue()
 

@@ -27,8 +27,6 @@ MAX_REQUESTS: Final = 64
 """So many requests may wait for our answer."""
 MAX_CALLS: Final = 8
 """So many calls of a client are under way at once: a ROS node keeps 10 requests, no more."""
-LAST_ANSWER_S: Final = 0.5
-"""So long the answer of a server that has gone may be on its way."""
 _QOS: Final = Qos()
 """What ROS says of services; it changes nothing."""
 
@@ -93,7 +91,6 @@ class ServiceClient:
         loop = asyncio.get_running_loop()
         self._calls += 1
         answer: asyncio.Future[bytes] = loop.create_future()
-        watch = loop.create_task(self._fail_without(server, answer))
 
         def settle(reply: bytes) -> None:
             if not answer.done():  # of several servers the first counts
@@ -119,19 +116,7 @@ class ServiceClient:
         except zenoh.ZError as error:
             raise NotConnectedError(f"Zenoh refused a request to {self._name}: {error}") from error
         finally:
-            watch.cancel()
             self._waiting.discard(answer)
-
-    async def _fail_without(self, server: Endpoint, answer: asyncio.Future[bytes]) -> None:
-        """Fail a call whose server goes; an answer that is on its way still counts."""
-        await self._session.until(lambda: server not in self._servers())
-        await asyncio.sleep(LAST_ANSWER_S)
-        if not answer.done():
-            answer.set_exception(
-                NotConnectedError(
-                    f"{server.node}, which offers {self._name}, went before it answered"
-                )
-            )
 
     def close(self) -> None:
         """End it; calls that wait fail."""
