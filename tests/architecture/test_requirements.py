@@ -48,15 +48,19 @@ def test_a_package_has_one_version_everywhere() -> None:
 
 @pytest.mark.parametrize("file", PROJECTS, ids=lambda file: file.parent.name)
 def test_what_a_distribution_needs_is_pinned(file: Path) -> None:
-    ours = {tomllib.loads(each.read_text("utf-8"))["project"]["name"] for each in PROJECTS}
+    read = (tomllib.loads(each.read_text("utf-8"))["project"] for each in PROJECTS)
+    ours = {project["name"]: project.get("optional-dependencies", {}) for project in read}
     project = tomllib.loads(file.read_text("utf-8"))["project"]
     own_set = ROOT / f"deploy/requirements/{file.parent.name}.txt"
     sets = [ROOT / "deploy/requirements/fleet.txt"]
     if file.parents[1].name == "services" and not file.parent.name.startswith("_"):
         sets.append(own_set)
 
-    for requirement in map(Requirement, project["dependencies"]):
+    needed = [*map(Requirement, project["dependencies"])]
+    for requirement in needed:
         if requirement.name in ours:
+            extras = ours[requirement.name]
+            needed += (Requirement(one) for extra in requirement.extras for one in extras[extra])
             continue
         for pinned in map(pins, sets):
             version = pinned.get(canonicalize_name(requirement.name), "none")
