@@ -961,6 +961,11 @@ def main() -> None:
     said = f"typehash={STRING_HASH};"
     if role == "talk":
         talk(peer, qos(said), *arguments)
+    elif role == "talk_exclusive":
+        talk(peer, qos(said) + Qos(Policy.Ownership.Exclusive))
+    elif role == "listen_with_deadline":
+        deadline = Qos(Policy.Deadline(duration(milliseconds=100)))
+        listen(peer, qos(said) + deadline, *arguments)
     elif role == "talk_best_effort":
         talk(peer, qos(said, reliable=False))
     elif role == "talk_other_hash":

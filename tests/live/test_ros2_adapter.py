@@ -186,6 +186,32 @@ async def test_key_reaches_a_ros_subscriber(tmp_path: Path) -> None:
         speaking.cancel()
 
 
+async def test_publisher_that_is_kept_apart_by_its_qos_is_told(lab: Lab) -> None:
+    reader = lab.read("robot/said", Text)
+    async with peer(lab, "talk_exclusive"):
+        await lab.told(lambda text: "/chatter: a publisher is not heard: its ownership" in text)
+        await lab.told(lambda text: "/chatter: 0 messages in 5 s: the ownership" in text)
+        async with peer(lab, "talk"):  # another one is heard, and the first one still told
+            await first(reader)
+            await lab.told(lambda text: "/chatter: a publisher is not heard" in text)
+    await lab.told(lambda text: "/chatter" not in text)
+    reader.subscription.close()
+
+
+async def test_subscriber_that_is_kept_apart_by_its_qos_is_told(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    routes.write_text(OUTBOUND)
+    async with (
+        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        peer(lab, "listen_with_deadline") as listener,
+    ):
+        text = await lab.told(lambda text: "/chatter: a subscriber does not hear us" in text)
+        assert "its deadline differs" in text
+        assert listener.process.stdin is not None
+        listener.process.stdin.close()
+        await lab.told(lambda text: "/chatter" not in text)
+
+
 async def test_nothing_is_carried_out_for_nobody(tmp_path: Path) -> None:
     routes = tmp_path / "routes.yaml"
     routes.write_text(OUTBOUND)

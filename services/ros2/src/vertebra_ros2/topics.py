@@ -20,6 +20,7 @@ CDR_ENCODING: Final = "application/cdr"
 """Payloads as they are on ROS; behind `;` stands their ROS type."""
 LEAST_WAITING: Final = 64
 """So many messages of a topic may wait for us at least; those that are too many are counted."""
+SILENT_S: Final = 5.0
 _BULK: Final = frozenset(
     {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2"}
 )
@@ -35,6 +36,7 @@ class InboundTopic:
         self._reader: Reader | None = None
         self._read_as: tuple[str, Qos] | None = None
         self._dropped = 0
+        self._heard_at_s = 0.0
         self._interval_ns = round(1e9 / route.max_rate_hz) if route.max_rate_hz else 0
         self._next_ns = 0
         self._count = kit.messages.labels(route.ros, route.key, route.direction)
@@ -50,6 +52,7 @@ class InboundTopic:
         writers = self.kit.transport.graph.writers(self.route.ros)
         if not self._wanted or not writers:
             self._stop()
+            self._report("")
             return
         type_name = self.route.type or writers[0].type
         problem = self.kit.clash(writers, type_name)
@@ -69,6 +72,7 @@ class InboundTopic:
             self._report(str(error))
             return
         self._read_as = wanted_as
+        self._heard_at_s = time.monotonic()
         self._publisher = self._open(type_name)
         self._report("")
 
@@ -88,12 +92,16 @@ class InboundTopic:
         self.kit.dropped.inc(self._reader.dropped - self._dropped)
         self._dropped = self._reader.dropped
         differs = self._reader.mismatch
-        self._report(f"a publisher is not heard: its {differs} differs" if differs else "")
+        problem = f"a publisher is not heard: its {differs} differs" if differs else ""
+        if differs and time.monotonic() > self._heard_at_s + SILENT_S:
+            problem = f"0 messages in {SILENT_S:g} s: the {differs} of its publisher differs"
+        self._report(problem)
 
     def _report(self, problem: str) -> None:
         self.kit.report(f"topic {self.route.ros}", problem)
 
     def _came(self, payload: bytes, sent_ns: int) -> None:
+        self._heard_at_s = time.monotonic()
         if self._interval_ns:
             if sent_ns < self._next_ns:
                 return
@@ -164,7 +172,7 @@ class OutboundTopic:
             self._writer = self.kit.transport.writer(route.ros, route.type, offered)
             self._offered = offered
         problem = self.kit.clash(readers, route.type)
-        if not problem and self._writer.mismatch:
+        if not problem and readers and self._writer.mismatch:
             problem = f"a subscriber does not hear us: its {self._writer.mismatch} differs"
         self._report(problem)
         if self._work is None and (readers or route.retain):
