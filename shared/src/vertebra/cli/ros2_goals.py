@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections import deque
 from typing import Any, Final
 
 from vertebra.cli.ros2_session import Session, text_of
@@ -50,6 +51,8 @@ class _Goal:
         self._session = session
         self._action = action
         self._type = ""
+        self._is_accepted = False
+        self._early: deque[str] = deque(maxlen=DEPTH)
 
     async def send(self, fields: dict[str, Any]) -> None:
         """Send it and print that it is accepted; its feedback is printed from now on."""
@@ -64,7 +67,8 @@ class _Goal:
             raise
         if not answer["accepted"]:
             raise CommandRefusedError(f"the action server of {self._action} refuses this goal")
-        print(f"accepted: {self.id}", flush=True)
+        print(f"accepted: {self.id}", *self._early, sep="\n", flush=True)
+        self._is_accepted = True
 
     def _read_feedback(self) -> None:
         session, name = self._session, part_of(self._action, "feedback")
@@ -74,11 +78,15 @@ class _Goal:
         def came(payload: bytes, _: int) -> None:
             try:
                 record = session.cdr.decode(payload, kind)
+                if goal_id_of(record["goal_id"]) != self.id:
+                    return
+                text = f"---\n{text_of(record['feedback'])}"
             except CodecError as error:
-                print(f"--- {error}", flush=True)
-                return
-            if goal_id_of(record["goal_id"]) == self.id:
-                print(f"---\n{text_of(record['feedback'])}", flush=True)
+                text = f"--- {error}"
+            if self._is_accepted:
+                print(text, flush=True)
+            else:  # it may overtake the answer that the goal is accepted
+                self._early.append(text)
 
         session.transport.reader(name, kind, qos, came)
 
