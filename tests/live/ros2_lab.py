@@ -113,6 +113,15 @@ async def adapter(
         assert service.done()
 
 
+@asynccontextmanager
+async def lab_with(folder: Path, routes: str = "", **settings: Any) -> AsyncIterator[Lab]:
+    """Run an adapter with these routes in a domain, and on a backbone, of its own."""
+    file = folder / "routes.yaml"
+    await asyncio.to_thread(file.write_text, routes)
+    async with adapter(MemoryNetwork(), next(DOMAINS), file, **settings) as lab:
+        yield lab
+
+
 def peer(place: Lab | Participation, *role: str) -> AbstractAsyncContextManager[Peer]:
     """Run a node of Cyclone DDS."""
     environment = {"ROS_DOMAIN_ID": str(place.domain_id), "CYCLONEDDS_URI": ON_LOOPBACK}
@@ -159,3 +168,21 @@ async def first(reader: MessageReader[Message]) -> Received[Message]:
 def drain(reader: MessageReader[Message]) -> None:
     while reader.subscription.take() is not None:
         pass
+
+
+@asynccontextmanager
+async def repeated(*doing: Callable[[], object]) -> AsyncIterator[None]:
+    """Do something again and again: at first it may be that nobody hears it."""
+
+    async def repeat() -> None:
+        while True:
+            for one in doing:
+                one()
+            await asyncio.sleep(0.05)
+
+    repeating = asyncio.create_task(repeat())
+    try:
+        yield
+    finally:
+        repeating.cancel()
+        await asyncio.wait([repeating])

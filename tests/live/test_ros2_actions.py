@@ -19,7 +19,7 @@ from vertebra.messages import Native
 from vertebra.service import Context, Feedback, ServiceSettings, run_service, serve_action
 from vertebra_ros2 import actions
 
-from .ros2_lab import DOMAINS, Lab, adapter, drain, first, peer
+from .ros2_lab import DOMAINS, Lab, adapter, drain, first, lab_with, peer
 
 pytestmark = pytest.mark.live
 
@@ -99,17 +99,9 @@ async def counter(
         await asyncio.wait([service])
 
 
-@asynccontextmanager
-async def running(tmp_path: Path, routes: str) -> AsyncIterator[Lab]:
-    file = tmp_path / "routes.yaml"
-    file.write_text(routes)
-    async with adapter(MemoryNetwork(), next(DOMAINS), file) as lab:
-        yield lab
-
-
 async def test_ros_client_has_its_goal_reached_by_the_fleet(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "5") as client,
     ):
@@ -127,7 +119,7 @@ async def test_ros_client_has_its_goal_reached_by_the_fleet(tmp_path: Path) -> N
 @pytest.mark.parametrize("meant", ["cancel", "cancel_all"])
 async def test_ros_client_cancels_its_goal(tmp_path: Path, meant: str) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "100000", meant) as client,
     ):
@@ -140,7 +132,7 @@ async def test_ros_client_cancels_its_goal(tmp_path: Path, meant: str) -> None:
 
 async def test_goal_that_has_ended_is_not_cancelled_and_keeps_its_result(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "2", "late") as client,
     ):
@@ -151,7 +143,7 @@ async def test_goal_that_has_ended_is_not_cancelled_and_keeps_its_result(tmp_pat
 
 async def test_unknown_goal_is_told_as_such(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "2", "unknown") as client,
     ):
@@ -161,7 +153,7 @@ async def test_unknown_goal_is_told_as_such(tmp_path: Path) -> None:
 
 async def test_goal_is_accepted_once(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "2", "twice") as client,
     ):
@@ -172,7 +164,7 @@ async def test_goal_is_accepted_once(tmp_path: Path) -> None:
 
 async def test_goal_that_the_fleet_refuses_is_not_accepted(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab),
         peer(lab, "act", "fleet_count", "-1") as client,
     ):
@@ -183,7 +175,7 @@ async def test_goal_that_the_fleet_refuses_is_not_accepted(tmp_path: Path) -> No
 
 
 async def test_goal_for_nobody_is_not_accepted(tmp_path: Path) -> None:
-    async with running(tmp_path, OFFERED) as lab:
+    async with lab_with(tmp_path, OFFERED) as lab:
         async with peer(lab, "act", "fleet_count", "1") as client:
             assert (await client.until("accepted"))[1] is False
             await lab.told(lambda text: "refused a goal: nobody serves 'fleet/count/goal'" in text)
@@ -198,7 +190,7 @@ async def test_goal_for_nobody_is_not_accepted(tmp_path: Path) -> None:
 )
 async def test_goal_that_fails_is_aborted(tmp_path: Path, run: Any, reason: str) -> None:
     async with (
-        running(tmp_path, OFFERED) as lab,
+        lab_with(tmp_path, OFFERED) as lab,
         counter(lab, run),
         peer(lab, "act", "fleet_count", "1") as client,
     ):
@@ -207,7 +199,7 @@ async def test_goal_that_fails_is_aborted(tmp_path: Path, run: Any, reason: str)
 
 
 async def test_goal_of_a_service_that_goes_away_is_aborted(tmp_path: Path) -> None:
-    async with running(tmp_path, OFFERED) as lab:
+    async with lab_with(tmp_path, OFFERED) as lab:
         async with counter(lab):
             client_of = peer(lab, "act", "fleet_count", "100000")
             client = await client_of.__aenter__()
@@ -245,7 +237,7 @@ async def test_goals_of_an_adapter_that_stops_are_cancelled(tmp_path: Path) -> N
 
 async def test_action_of_a_ros_node_is_offered_again(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, REOFFERED) as lab,
+        lab_with(tmp_path, REOFFERED) as lab,
         peer(lab, "count_up") as server,
     ):
         await server.until("ready")
@@ -262,7 +254,7 @@ async def test_action_of_a_ros_node_is_offered_again(tmp_path: Path) -> None:
 
 async def test_replies_reach_clients_that_ask_at_once(tmp_path: Path) -> None:
     """A client asks as soon as it sees us; we hold the reply until we see its reader, too."""
-    async with running(tmp_path, OFFERED) as lab, counter(lab):
+    async with lab_with(tmp_path, OFFERED) as lab, counter(lab):
         for _ in range(5):
             async with peer(lab, "act", "fleet_count", "1") as client:
                 assert (await client.until("accepted"))[1] is True
@@ -270,7 +262,7 @@ async def test_replies_reach_clients_that_ask_at_once(tmp_path: Path) -> None:
 
 
 async def test_goal_of_nobodys_knowledge_is_withdrawn(tmp_path: Path) -> None:
-    async with running(tmp_path, INBOUND) as lab, peer(lab, "count_up", "deaf") as server:
+    async with lab_with(tmp_path, INBOUND) as lab, peer(lab, "count_up", "deaf") as server:
         await server.until("ready")
         await lab.told(lambda text: "action /fibonacci" not in text)
         with pytest.raises((RemoteError, TimeoutError)):
@@ -279,7 +271,7 @@ async def test_goal_of_nobodys_knowledge_is_withdrawn(tmp_path: Path) -> None:
 
 
 async def test_result_is_waited_for_again_and_kept(tmp_path: Path) -> None:
-    async with running(tmp_path, INBOUND) as lab:
+    async with lab_with(tmp_path, INBOUND) as lab:
         async with peer(lab, "count_up") as server:
             await server.until("ready")
             started = await lab.call("robot/count/goal", {"order": 20})
@@ -296,7 +288,7 @@ async def test_goals_of_a_server_that_restarts_are_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(actions, "ASK_AGAIN_S", 1.0)
-    async with running(tmp_path, INBOUND) as lab:
+    async with lab_with(tmp_path, INBOUND) as lab:
         async with peer(lab, "count_up") as server:
             await server.until("ready")
             started = await lab.call("robot/count/goal", {"order": 100000})
@@ -311,7 +303,7 @@ async def test_goal_of_a_server_that_went_away_has_no_end(
 ) -> None:
     monkeypatch.setattr(actions, "ASK_AGAIN_S", 1.0)
     monkeypatch.setattr(actions, "GONE_AFTER_S", 0.5)
-    async with running(tmp_path, INBOUND) as lab:
+    async with lab_with(tmp_path, INBOUND) as lab:
         async with peer(lab, "count_up") as server:
             await server.until("ready")
             started = await lab.call("robot/count/goal", {"order": 100000})
@@ -320,7 +312,7 @@ async def test_goal_of_a_server_that_went_away_has_no_end(
 
 
 async def test_all_goals_are_cancelled_by_one_call(tmp_path: Path) -> None:
-    async with running(tmp_path, INBOUND) as lab, peer(lab, "count_up") as server:
+    async with lab_with(tmp_path, INBOUND) as lab, peer(lab, "count_up") as server:
         await server.until("ready")
         goals = [await lab.call("robot/count/goal", {"order": 100000}) for _ in range(3)]
         cancelled = await lab.call("robot/count/cancel", {})
@@ -330,7 +322,7 @@ async def test_all_goals_are_cancelled_by_one_call(tmp_path: Path) -> None:
 
 
 async def test_feedback_says_of_which_goal_it_is(tmp_path: Path) -> None:
-    async with running(tmp_path, INBOUND) as lab, peer(lab, "count_up") as server:
+    async with lab_with(tmp_path, INBOUND) as lab, peer(lab, "count_up") as server:
         await server.until("ready")
         reader = lab.read("robot/count/feedback", Native)
         goals = [await lab.call("robot/count/goal", {"order": 30}) for _ in range(2)]

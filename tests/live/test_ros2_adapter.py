@@ -22,7 +22,7 @@ from vertebra.testing.bus_suite import eventually
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
 
-from .ros2_lab import DOMAINS, Lab, adapter, drain, first, peer
+from .ros2_lab import DOMAINS, Lab, adapter, drain, first, lab_with, peer, repeated
 
 pytestmark = pytest.mark.live
 
@@ -39,9 +39,7 @@ actions:
 
 @pytest.fixture
 async def lab(tmp_path: Path) -> AsyncIterator[Lab]:
-    routes = tmp_path / "routes.yaml"
-    await asyncio.to_thread(routes.write_text, ROUTES)
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, ROUTES) as lab:
         yield lab
 
 
@@ -139,10 +137,8 @@ async def test_folder_of_a_lab_makes_a_type_known(tmp_path: Path) -> None:
     folder = tmp_path / "lab_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Strange.msg").write_text("int32 left\nint32 right\n")
-    routes = tmp_path / "routes.yaml"
-    routes.write_text("")
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes, types=(tmp_path,)) as lab,
+        lab_with(tmp_path, types=(tmp_path,)) as lab,
         peer(lab, "strange_typed"),
     ):
         received = await first(lab.read("ros2/strange", Native))
@@ -167,23 +163,14 @@ topics:
 
 
 async def test_key_reaches_a_ros_subscriber(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OUTBOUND)
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        lab_with(tmp_path, OUTBOUND) as lab,
         peer(lab, "listen") as listener,
     ):
         await listener.until("ready")
         publisher = lab.publisher("robot/words")
-
-        async def speak() -> None:
-            while True:
-                publisher.publish(Text(text="hello from the fleet"))
-                await asyncio.sleep(0.05)
-
-        speaking = asyncio.create_task(speak())
-        assert await listener.until("heard") == ["heard", "hello from the fleet"]
-        speaking.cancel()
+        async with repeated(lambda: publisher.publish(Text(text="hello from the fleet"))):
+            assert await listener.until("heard") == ["heard", "hello from the fleet"]
 
 
 async def test_publisher_that_is_kept_apart_by_its_qos_is_told(lab: Lab) -> None:
@@ -213,10 +200,8 @@ async def test_subscriber_that_is_kept_apart_by_its_qos_is_told(tmp_path: Path) 
 
 
 async def test_nothing_is_carried_out_for_nobody(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OUTBOUND)
     wanted: list[bool] = []
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, OUTBOUND) as lab:
         lab.bus.follow_demand("robot/words", wanted.append)
         await asyncio.sleep(0.2)
         assert wanted in ([], [False])
@@ -226,12 +211,8 @@ async def test_nothing_is_carried_out_for_nobody(tmp_path: Path) -> None:
 
 
 async def test_latched_subscriber_gets_what_was_before_it(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(
-        "topics: [{ros: /chatter, key: robot/words, type: std_msgs/msg/String, "
-        "direction: outbound, retain: true, depth: 1}]"
-    )
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    retained = OUTBOUND.replace("delivery: queue, depth: 64", "retain: true, depth: 1")
+    async with lab_with(tmp_path, retained) as lab:
         lab.publisher("robot/words").publish(Text(text="before"))
         await asyncio.sleep(0.2)
         async with peer(lab, "listen_latched") as listener:
@@ -239,10 +220,8 @@ async def test_latched_subscriber_gets_what_was_before_it(tmp_path: Path) -> Non
 
 
 async def test_what_came_from_ros_does_not_go_back(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OUTBOUND)
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        lab_with(tmp_path, OUTBOUND) as lab,
         peer(lab, "listen") as listener,
     ):
         await listener.until("ready")
@@ -250,40 +229,26 @@ async def test_what_came_from_ros_does_not_go_back(tmp_path: Path) -> None:
             lab.bus, lab.codecs, "robot/words", origin=f"ros2:{lab.domain_id}:/other"
         )
         own = lab.publisher("robot/words")
-
-        async def speak() -> None:
-            while True:
-                echo.publish(Text(text="echo"))
-                own.publish(Text(text="own"))
-                await asyncio.sleep(0.05)
-
-        speaking = asyncio.create_task(speak())
-        heard = [(await listener.until("heard"))[1] for _ in range(5)]
-        speaking.cancel()
+        async with repeated(
+            lambda: echo.publish(Text(text="echo")), lambda: own.publish(Text(text="own"))
+        ):
+            heard = [(await listener.until("heard"))[1] for _ in range(5)]
     assert heard == ["own"] * 5
 
 
 async def test_message_of_another_kind_is_refused_and_the_route_lives(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OUTBOUND)
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes) as lab,
+        lab_with(tmp_path, OUTBOUND) as lab,
         peer(lab, "listen") as listener,
     ):
         await listener.until("ready")
         publisher = lab.publisher("robot/words")
-
-        async def speak() -> None:
-            while True:
-                publisher.publish(Native(value=5))
-                publisher.publish(Text(text="fine"))
-                await asyncio.sleep(0.05)
-
-        speaking = asyncio.create_task(speak())
-        assert (await listener.until("heard"))[1] == "fine"
+        async with repeated(
+            lambda: publisher.publish(Native(value=5)), lambda: publisher.publish(Text(text="fine"))
+        ):
+            assert (await listener.until("heard"))[1] == "fine"
         metrics = await lab.bus.call("@vertebra/services/ros2/1/metrics", timeout_s=5)
         assert b"vertebra_ros2_refused_total 0.0" not in metrics.payload
-        speaking.cancel()
 
 
 async def test_ros_service_is_called_by_its_key(lab: Lab) -> None:
@@ -421,9 +386,7 @@ services:
 
 
 async def test_key_is_called_through_ros(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OFFERED)
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, OFFERED) as lab:
 
         async def add(request: Request) -> Reply:
             terms = json.loads(request.payload)
@@ -439,10 +402,8 @@ async def test_key_is_called_through_ros(tmp_path: Path) -> None:
 
 
 async def test_our_node_is_in_the_graph(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OFFERED)
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes, node="fleet", namespace="/lab") as lab,
+        lab_with(tmp_path, OFFERED, node="fleet", namespace="/lab") as lab,
         peer(lab, "watch") as watch,
     ):
         request = await watch.until("endpoint", "reader", "rq/fleet_sumRequest")
@@ -456,10 +417,8 @@ async def test_our_node_is_in_the_graph(tmp_path: Path) -> None:
 
 
 async def test_our_node_names_its_endpoints(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OFFERED)
     async with (
-        adapter(MemoryNetwork(), next(DOMAINS), routes, node="fleet", namespace="/lab") as lab,
+        lab_with(tmp_path, OFFERED, node="fleet", namespace="/lab") as lab,
         peer(lab, "watch") as watch,
     ):
         node = await watch.until("node", "/lab", "fleet")

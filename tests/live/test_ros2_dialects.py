@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vertebra.bus import MemoryNetwork, Reply, Request
+from vertebra.bus import Reply, Request
 from vertebra.errors import RemoteError
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
@@ -17,7 +17,7 @@ from vertebra.ros2.drivers import Participation, open_driver
 from vertebra.ros2.qos import Qos
 from vertebra.testing.bus_suite import eventually
 
-from .ros2_lab import DOMAINS, Lab, adapter, peer
+from .ros2_lab import DOMAINS, Lab, lab_with, peer
 
 pytestmark = pytest.mark.live
 
@@ -37,9 +37,7 @@ async def assert_refused_at_once(lab: Lab, key: str) -> None:
 
 
 async def test_a_server_of_fast_dds_is_recognised_and_sent_nothing(tmp_path: Path) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text("services: [{ros: /add_two_ints, key: robot/sum}]")
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, "services: [{ros: /add_two_ints, key: robot/sum}]") as lab:
         async with peer(lab, "serve_sum_fast_dds") as other:
             await other.until("ready")
             text = await lab.told(lambda text: "ROS services: 1 cannot be called" in text)
@@ -60,15 +58,13 @@ async def test_a_server_of_fast_dds_is_recognised_and_sent_nothing(tmp_path: Pat
 async def test_a_client_of_fast_dds_is_recognised_and_not_answered(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    routes = tmp_path / "routes.yaml"
-    routes.write_text(OFFERED)
     asked = []
 
     async def answer(request: Request) -> Reply:
         asked.append(request.payload)
         return Reply(payload=b'{"sum": 0}', encoding="application/json")
 
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, OFFERED) as lab:
         lab.bus.serve("robot/sum", answer)
         async with peer(lab, "ask_sum_fast_dds", "3") as client:
             await client.until("ready")

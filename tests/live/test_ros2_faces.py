@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vertebra.bus import MemoryNetwork
 from vertebra.messages import (
     Array,
     Box,
@@ -28,7 +27,7 @@ from vertebra.messages import (
 from vertebra.service import MessagePublisher
 from vertebra_ros2 import humans
 
-from .ros2_lab import DOMAINS, Lab, Peer, adapter, peer
+from .ros2_lab import Lab, Peer, lab_with, peer
 
 pytestmark = pytest.mark.live
 
@@ -55,9 +54,7 @@ def faces(*track_ids: int) -> Faces:
 
 @pytest.fixture
 async def lab(tmp_path: Path) -> AsyncIterator[Lab]:
-    routes = tmp_path / "routes.yaml"
-    await asyncio.to_thread(routes.write_text, ROUTES)
-    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab:
+    async with lab_with(tmp_path, ROUTES) as lab:
         yield lab
 
 

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from vertebra.bus import MemoryNetwork
 from vertebra.errors import RemoteError
 
-from .ros2_lab import DOMAINS, Lab, adapter, peer
+from .ros2_lab import lab_with, peer
 
 pytestmark = pytest.mark.live
 
 CAMERA = "parameters: [{ros: /lab/camera, key: lab/camera/settings}]"
 
 
-@asynccontextmanager
-async def running(tmp_path: Path, routes: str = "", **settings: Any) -> AsyncIterator[Lab]:
-    file = tmp_path / "routes.yaml"
-    file.write_text(routes)
-    async with adapter(MemoryNetwork(), next(DOMAINS), file, **settings) as lab:
-        yield lab
-
-
 @pytest.mark.parametrize("key", ["lab/camera/settings", "ros2/lab/camera/parameters"])
 async def test_parameters_of_a_node_are_plain_values(tmp_path: Path, key: str) -> None:
-    async with running(tmp_path, CAMERA) as lab, peer(lab, "have_parameters") as node:
+    async with lab_with(tmp_path, CAMERA) as lab, peer(lab, "have_parameters") as node:
         await node.until("ready")
         assert await lab.call(f"{key}/list", {}) == {"names": ["many", "rate"]}
         assert await lab.call(f"{key}/get", {}) == {"many": [1.5], "rate": 30.0}
@@ -50,7 +38,7 @@ async def test_parameters_of_a_node_are_plain_values(tmp_path: Path, key: str) -
     ],
 )
 async def test_mistake_is_told(tmp_path: Path, word: str, document: object, told: str) -> None:
-    async with running(tmp_path, CAMERA) as lab, peer(lab, "have_parameters") as node:
+    async with lab_with(tmp_path, CAMERA) as lab, peer(lab, "have_parameters") as node:
         await node.until("ready")
         with pytest.raises(RemoteError, match=told) as caught:
             await lab.call(f"lab/camera/settings/{word}", document)
@@ -59,7 +47,7 @@ async def test_mistake_is_told(tmp_path: Path, word: str, document: object, told
 
 
 async def test_node_that_is_not_there_is_told(tmp_path: Path) -> None:
-    async with running(tmp_path, CAMERA) as lab:
+    async with lab_with(tmp_path, CAMERA) as lab:
         await lab.told(lambda text: "parameters of /lab/camera: it is not there" in text)
         with pytest.raises(RemoteError, match="nobody offers the ROS service /lab/camera/list"):
             await lab.call("lab/camera/settings/list", {})
@@ -67,7 +55,7 @@ async def test_node_that_is_not_there_is_told(tmp_path: Path) -> None:
 
 async def test_our_settings_are_parameters_to_read(tmp_path: Path) -> None:
     async with (
-        running(tmp_path, node="fleet", namespace="/lab") as lab,
+        lab_with(tmp_path, node="fleet", namespace="/lab") as lab,
         peer(lab, "ask_parameters", "/lab/fleet", "domain_id") as asking,
     ):
         _, names = await asking.until("names")
