@@ -146,6 +146,7 @@ def test_token_that_ends_early_is_refused(cut: int) -> None:
         TALKER_KEY.replace("dds_::String_", "String"),
         TALKER_KEY.replace("::,7:,:,:,,", "::,x:,:,:,,"),
         TALKER_KEY.replace("::,7:,:,:,,", "nothing"),
+        TALKER_KEY.replace("::,7:,:,:,,", f"::,{'9' * 5000}:,:,:,,"),
     ],
 )
 def test_faulty_token_is_refused_with_its_text(key: str) -> None:

@@ -23,8 +23,14 @@ class Ros2Settings(ServiceSettings):
         "'rmw_zenoh' for nodes that run rmw_zenoh_cpp.",
     )
     domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
-    node: str = Field("vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_]\w*$")
-    namespace: str = Field("/", description="Namespace of our ROS node.", pattern="^/")
+    node: str = Field(
+        "vertebra", description="Name of our ROS node.", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$"
+    )
+    namespace: str = Field(
+        "/",
+        description="Namespace of our ROS node.",
+        pattern=r"^(/|(/[A-Za-z_][A-Za-z0-9_]*)+)$",
+    )
     interface: str = Field(
         "lo", description="Network interface of DDS; 'auto' leaves it to DDS and CYCLONEDDS_URI."
     )

@@ -14,7 +14,7 @@ from vertebra.ros2.drivers import Participation
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.qos import Qos
 from vertebra.ros2.rmw_zenoh.services import ServiceClient, ServiceServer
-from vertebra.ros2.rmw_zenoh.session import Session
+from vertebra.ros2.rmw_zenoh.session import Session, refusals
 from vertebra.ros2.rmw_zenoh.topics import TopicReader, TopicWriter
 
 _SETTINGS: Final[dict[str, Any]] = {
@@ -50,19 +50,23 @@ class RmwZenohTransport:
 
     def reader(self, name: str, type_name: str, qos: Qos, on_payload: OnPayload) -> TopicReader:
         """Read a topic."""
-        return TopicReader(self._session, name, type_name, qos, on_payload)
+        with refusals(f"to read {name}"):
+            return TopicReader(self._session, name, type_name, qos, on_payload)
 
     def writer(self, name: str, type_name: str, qos: Qos) -> TopicWriter:
         """Write a topic."""
-        return TopicWriter(self._session, name, type_name, qos)
+        with refusals(f"to write {name}"):
+            return TopicWriter(self._session, name, type_name, qos)
 
     def client(self, name: str, type_name: str) -> ServiceClient:
         """Be a client of a service; `type_name` such as `std_srvs/srv/Trigger`."""
-        return ServiceClient(self._session, name, type_name)
+        with refusals(f"to ask {name}"):
+            return ServiceClient(self._session, name, type_name)
 
     def server(self, name: str, type_name: str, on_request: OnRequest) -> ServiceServer:
         """Offer a service."""
-        return ServiceServer(self._session, name, type_name, on_request)
+        with refusals(f"to serve {name}"):
+            return ServiceServer(self._session, name, type_name, on_request)
 
 
 @asynccontextmanager

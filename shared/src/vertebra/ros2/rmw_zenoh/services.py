@@ -16,7 +16,7 @@ from vertebra.ros2.graph import Endpoint
 from vertebra.ros2.names import check_name
 from vertebra.ros2.qos import Qos
 from vertebra.ros2.rmw_zenoh import wire
-from vertebra.ros2.rmw_zenoh.session import Declared, Session, in_loop
+from vertebra.ros2.rmw_zenoh.session import Declared, Session, in_loop, refusals
 from vertebra.ros2.rmw_zenoh.wire import Attachment
 
 log = logging.getLogger(__name__)
@@ -100,21 +100,21 @@ class ServiceClient:
             if reply.ok is not None:
                 in_loop(loop, settle, reply.ok.payload.to_bytes())
 
+        attachment = Attachment(self._calls, time.time_ns(), self._announced.gid)
         self._waiting.add(answer)
         try:
-            self._session.zenoh.get(
-                wire.key_of(self._session.domain_id, self._name, self._type, server.type_hash),
-                arrived,
-                target=zenoh.QueryTarget.ALL_COMPLETE,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=timeout_s + 1,  # the caller's deadline comes first
-                payload=payload,
-                attachment=Attachment(self._calls, time.time_ns(), self._announced.gid).encode(),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-            )
+            with refusals(f"a request to {self._name}"):
+                self._session.zenoh.get(
+                    wire.key_of(self._session.domain_id, self._name, self._type, server.type_hash),
+                    arrived,
+                    target=zenoh.QueryTarget.ALL_COMPLETE,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                    timeout=timeout_s + 1,  # the caller's deadline comes first
+                    payload=payload,
+                    attachment=attachment.encode(),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
             return await answer
-        except zenoh.ZError as error:
-            raise NotConnectedError(f"Zenoh refused a request to {self._name}: {error}") from error
         finally:
             self._waiting.discard(answer)
 

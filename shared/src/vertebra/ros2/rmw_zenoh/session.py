@@ -11,13 +11,19 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar, TypeVarTuple
 
 import zenoh
 
 from vertebra.bus import Delivery, Subscription
-from vertebra.errors import CodecError, CodecNotFoundError, DeadlineError, NameMappingError
+from vertebra.errors import (
+    CodecError,
+    CodecNotFoundError,
+    DeadlineError,
+    NameMappingError,
+    TransportError,
+)
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.drivers import Participation
 from vertebra.ros2.graph import Endpoint, Graph
@@ -40,6 +46,15 @@ def in_loop(loop: asyncio.AbstractEventLoop, what: Callable[[*Ts], object], *giv
     """Do something in the event loop, from a thread of Zenoh's."""
     with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits for it any more
         loop.call_soon_threadsafe(what, *given)
+
+
+@contextlib.contextmanager
+def refusals(what: str) -> Iterator[None]:
+    """Tell what Zenoh refuses as `TransportError`."""
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise TransportError(f"Zenoh refuses {what}: {error}") from error
 
 
 class Declared(Protocol):
@@ -228,12 +243,13 @@ class Session:
         ask: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
             replies.append, lambda: in_loop(loop, passed.set)
         )
-        self.zenoh.get(
-            f"{self._node_key}/nobody",
-            ask,
-            timeout=timeout_s,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
+        with refusals("to ask the router"):
+            self.zenoh.get(
+                f"{self._node_key}/nobody",
+                ask,
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
         await passed.wait()
         if replies:
             raise DeadlineError("the Zenoh router", timeout_s)

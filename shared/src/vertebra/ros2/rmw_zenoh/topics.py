@@ -9,11 +9,11 @@ import zenoh
 from zenoh import ext
 
 from vertebra.bus import Delivery, Subscription
-from vertebra.errors import DecodeError, NotConnectedError, TransportError
+from vertebra.errors import DecodeError, NotConnectedError
 from vertebra.ros2.driver import OnPayload
 from vertebra.ros2.qos import Qos
 from vertebra.ros2.rmw_zenoh import wire
-from vertebra.ros2.rmw_zenoh.session import Session
+from vertebra.ros2.rmw_zenoh.session import Session, refusals
 from vertebra.ros2.rmw_zenoh.wire import ANY_HASH, Attachment
 
 _HEARTBEAT_S: Final = 0.5
@@ -120,13 +120,9 @@ class TopicWriter:
         self._sequence += 1
         attachment = Attachment(self._sequence, time.time_ns(), self._announced.gid).encode()
         body = zenoh.ZBytes(payload)
-        try:
+        with refusals(f"{len(payload)} bytes for {self._name}"):
             for publisher in self._publishers:
                 publisher.put(body, attachment=attachment)
-        except zenoh.ZError as error:
-            raise TransportError(
-                f"Zenoh refused {len(payload)} bytes for {self._name}: {error}"
-            ) from error
 
     async def matched(self) -> None:
         """Wait until somebody reads the topic; raise `NotConnectedError` if this is closed."""
@@ -143,6 +139,8 @@ class TopicWriter:
         Raises:
             DeadlineError: The router does not answer.
         """
+        if self._closed:
+            raise self._closed_error()
         await self._session.pass_through(timeout_s)
 
     def close(self) -> None:

@@ -36,6 +36,7 @@ _PLACES: Final[dict[Kind, tuple[Literal["writer", "reader"], Role]]] = {
 
 _SPACE: Final = "@ros2_lv"
 _SESSION: Final = re.compile(r"[0-9a-f]{1,32}")
+_NUMBER: Final = re.compile(r"[0-9]{1,20}")
 _NODE_CHUNKS: Final = 9
 _ENDPOINT_CHUNKS: Final = 13
 _BEST_EFFORT: Final = "2"
@@ -122,7 +123,7 @@ def read_token(key: str) -> Token:
         raise DecodeError(f"{key!r} is no token of rmw_zenoh")
     domain_id, session, node_id, entity_id, letters = chunks[:5]
     kind = _KINDS.get(letters)
-    if not domain_id.isdecimal() or not _SESSION.fullmatch(session) or kind is None:
+    if not _NUMBER.fullmatch(domain_id) or not _SESSION.fullmatch(session) or kind is None:
         raise DecodeError(f"{key!r} is the token of neither a node nor an endpoint")
     enclave, namespace, node = map(_unmangle, chunks[5:8])
     name = type_name = type_hash = ""
@@ -200,7 +201,7 @@ def read_qos(text: str) -> Qos:
     """
     reliability, durability, history, *_ = (*text.split(":"), "", "", "")
     depth = history.partition(",")[2] or str(_DEFAULT_DEPTH)
-    if text.count(":") < 2 or not depth.isdecimal():
+    if text.count(":") < 2 or not _NUMBER.fullmatch(depth):
         raise DecodeError(f"{text!r} is no QoS of rmw_zenoh such as '::,10:,:,:,,'")
     return Qos(
         reliability="best_effort" if reliability == _BEST_EFFORT else "reliable",
