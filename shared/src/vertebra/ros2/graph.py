@@ -32,7 +32,7 @@ class Endpoint(Struct, frozen=True, kw_only=True):
     """A writer or a reader of another participant.
 
     Attributes:
-        gid: Its identity, 16 bytes.
+        gid: Its identity, which begins with that of its participant.
         kind: Which of both.
         role: Whether it is of a topic, or of requests or replies of a service.
         name: ROS name of the topic or service.

@@ -41,6 +41,8 @@ _GRAPH_DEPTH: Final = 16384
 """So many news of the graph wait for the event loop at most."""
 _PARTICIPANT_BYTES: Final = 12
 """The beginning of an endpoint's gid is that of its participant."""
+_MAX_WRITERS: Final = 1024
+"""A reader remembers the gids of so many, also of those that have gone."""
 
 
 class DdsTransport:
@@ -203,10 +205,14 @@ class TopicReader:
 
     def _is_ignored(self, writer: int) -> bool:
         """Say whether a sample is of ourselves, or of a participant that the graph ignores."""
-        if writer not in self._gids:
+        gid = self._gids.get(writer)
+        if gid is None:
             known = self._reader.get_matched_publication_data(writer)
-            self._gids[writer] = known.key.bytes if known is not None else b""
-        gid = self._gids[writer]
+            if known is None:  # it has gone already
+                return False
+            if len(self._gids) >= _MAX_WRITERS:
+                self._gids.clear()
+            gid = self._gids[writer] = known.key.bytes
         return gid.startswith((self._dds.gid[:_PARTICIPANT_BYTES], *self._graph.ignored))
 
     def close(self) -> None:

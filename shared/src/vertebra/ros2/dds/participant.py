@@ -68,6 +68,8 @@ class Input:
         self._refused = 0
         self._told = 0
         self._told_at_s = 0.0
+        self._faulty = 0
+        self._faulty_told_at_s = -_TELL_EVERY_S
         self._handing_over = False
         self._waiting: deque[Any] = deque(maxlen=depth)
         self._taken = taken
@@ -105,7 +107,10 @@ class Input:
             try:
                 self._taken(sample)
             except CodecError as error:
-                log.warning("refused a sample of %s: %s", self._name, error)
+                self._faulty += 1
+                if now_s > self._faulty_told_at_s + _TELL_EVERY_S:
+                    log.warning("refused %d samples of %s: %s", self._faulty, self._name, error)
+                    self._faulty, self._faulty_told_at_s = 0, now_s
 
 
 class WakeSet(WaitSet):

@@ -10,7 +10,7 @@ from typing import Final
 
 import zenoh
 
-from vertebra.errors import DeadlineError, DecodeError, NotConnectedError
+from vertebra.errors import DeadlineError, DecodeError, NotConnectedError, VertebraError
 from vertebra.ros2.driver import OnRequest
 from vertebra.ros2.graph import Endpoint
 from vertebra.ros2.names import check_name
@@ -171,7 +171,11 @@ class ServiceServer:
     async def _answer(self, key: str, query: zenoh.Query, asked: Attachment) -> None:
         with query:
             request = b"" if query.payload is None else query.payload.to_bytes()
-            reply = await self._on_request(request)
+            try:
+                reply = await self._on_request(request)
+            except VertebraError as error:
+                log.error("%s: a request gets no answer: %s", self._name, error)  # noqa: TRY400
+                return
             if reply is None:
                 return
             attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).encode()
