@@ -256,7 +256,7 @@ async def test_the_end_of_a_goal_is_told(base: FakeBase, page: Page, panel: Loca
     await asyncio.sleep(1.0)
     x, y = await middle(panel.locator("canvas"))
     await page.mouse.click(x + 10, y - 20)
-    await expect(panel.locator(".action-state")).to_have_text("Arrived at the goal")
+    await expect(panel.locator(".action-state")).to_have_text("Succeeded")
     assert len(base.goals) == 1
 
 
@@ -293,7 +293,7 @@ async def test_goals_can_be_sent_by_form_too(base: FakeBase, page: Page, panel: 
     await form.get_by_label("y", exact=True).fill("0")
     await form.get_by_role("button", name="Send").click()
     await expect(form.locator("output")).to_contain_text("goal_id")
-    await expect(form.locator(".action-state")).to_have_text("Arrived at the goal")
+    await expect(form.locator(".action-state")).to_have_text("Succeeded")
     assert base.goals == [
         {"header": {"frame_id": "odom"}, "pose": {"position": {"x": 0.5, "y": 0}}}
     ]

@@ -187,4 +187,4 @@ async def test_the_base_goes_where_the_map_is_clicked(full_page: Page) -> None:
     await expect(state).to_have_text("Cancelled")
     await expect(panel.locator("[data-value=ahead]")).to_have_text("0.00 m/s")
     await panel.locator("canvas").click(position={"x": 280, "y": 200})
-    await expect(state).to_have_text("Arrived at the goal", timeout=30_000)
+    await expect(state).to_have_text("Succeeded", timeout=30_000)

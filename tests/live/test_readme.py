@@ -105,6 +105,10 @@ def test_curl_drives_the_base_and_watches_it(desk: tuple[Up, Path]) -> None:
     events = re.findall(r"^data: .*\"position_m\":\[(-?[\d.e-]+),", said, re.MULTILINE)
     assert len(events) > 5
     assert float(events[-1]) < float(events[0])
+    left_m = re.findall(r'"distance_remaining":([\d.]+)', said)
+    assert float(left_m[-1]) < float(left_m[0])
+    assert '"cancelling":["' in said
+    assert '"status":"canceled"' in said
 
 
 def test_shell_commands_show_and_move(desk: tuple[Up, Path]) -> None:

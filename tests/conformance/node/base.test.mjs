@@ -5,7 +5,7 @@ import { mock, test } from "node:test";
 
 const STATIC = "../../../services/gateway/src/vertebra_gateway/static/";
 const { Action, feedbackText } = await import(`${STATIC}actions.js`);
-const { poseGoal, progressText, takesPose } = await import(`${STATIC}base.js`);
+const { NAVIGATION, poseGoal, progressText, takesPose } = await import(`${STATIC}base.js`);
 const { Driver, velocityOf } = await import(`${STATIC}drive.js`);
 const { View, hitsOf, poseOf } = await import(`${STATIC}map.js`);
 
@@ -86,6 +86,8 @@ test("a feedback is said in a line", () => {
   assert.equal(feedbackText({ sequence: { data: Int32Array.from([0, 1, 1]) } }), "sequence 0 1 1");
   assert.equal(feedbackText(null), "");
   const told = { distance_remaining: 2.345, navigation_time: time, estimated_time_remaining: time };
+  assert.equal(NAVIGATION.result({ error_code: 206 }), "something is where the goal is");
+  assert.equal(NAVIGATION.result({ error_code: 0 }), "");
   assert.equal(progressText(told), "2.35 m to go · 4 s so far · about 4 s left");
 });
 
@@ -108,9 +110,9 @@ test("a goal is followed to its end", async () => {
   assert.deepEqual([one.state, one.busy], ["active", true]);
   one.take({ message: { value: { goal_id: uuid, feedback: { done: 1 } } }, age_ms: 1 });
   assert.equal(one.text, "done 1");
-  end({ status: "succeeded" });
+  end({ status: "succeeded", result: { sequence: [0, 1], error_code: 0 } });
   await settle();
-  assert.deepEqual([one.state, one.busy, one.text], ["ended", false, "Arrived at the goal"]);
+  assert.deepEqual([one.state, one.busy, one.text], ["ended", false, "Succeeded: sequence 0 1"]);
   one.take({ message: { value: { goal_id: uuid, feedback: { done: 2 } } }, age_ms: 1 });
   assert.equal(one.state, "ended", "a late feedback revives nothing");
   assert.deepEqual(asked.map(([leaf]) => leaf), ["goal", "result"]);

@@ -6,7 +6,7 @@ const RESULT_TIMEOUT_S = 600;
 const ASK_AGAIN_MS = 1000;
 const FRESH_MS = 2000;
 const MAX_ENDED = 64;
-const ENDINGS = { succeeded: "Arrived at the goal", canceled: "Cancelled", aborted: "Given up by the robot" };
+const ENDINGS = { succeeded: "Succeeded", canceled: "Cancelled", aborted: "Given up by the robot" };
 
 /** The identity of a goal as text, however it came. */
 function hexOf(goalId) {
@@ -30,6 +30,11 @@ export function feedbackText(feedback) {
   return told.filter(Boolean).join(" \u00b7 ");
 }
 
+/** What a result says in a line, without what is zero or empty. */
+export function resultText(result) {
+  return feedbackText(Object.fromEntries(Object.entries(result ?? {}).filter(([, value]) => value)));
+}
+
 /**
  * One action of a robot, and its goal under way, whoever sent it.
  *
@@ -45,12 +50,12 @@ export class Action extends EventTarget {
 
   /**
    * @param {(leaf: string, body: any, timeoutS?: number) => Promise<any>} call
-   * @param {(feedback: any) => string} tell what people are told of a feedback
+   * @param {{feedback: (feedback: any) => string, result: (result: any) => string}} words what people are told
    */
-  constructor(call, tell = feedbackText) {
+  constructor(call, words = { feedback: feedbackText, result: resultText }) {
     super();
     this.call = call;
-    this.tell = tell;
+    this.words = words;
   }
 
   get busy() {
@@ -92,7 +97,7 @@ export class Action extends EventTarget {
       this.#adopt(goalId);
     }
     this.feedback = told.feedback;
-    if (this.state === "active") this.#enter("active", this.tell(told.feedback) || "Under way");
+    if (this.state === "active") this.#enter("active", this.words.feedback(told.feedback) || "Under way");
   }
 
   #adopt(goalId) {
@@ -106,8 +111,9 @@ export class Action extends EventTarget {
   async #follow(goalId) {
     while (this.#goalId === goalId) {
       try {
-        const { status } = await this.call("result", { goal_id: goalId }, RESULT_TIMEOUT_S);
-        this.#end(goalId, ENDINGS[status] ?? `Ended: ${status}`);
+        const { status, result } = await this.call("result", { goal_id: goalId }, RESULT_TIMEOUT_S);
+        const told = this.words.result(result);
+        this.#end(goalId, (ENDINGS[status] ?? `Ended: ${status}`) + (told && `: ${told}`));
         return;
       } catch (error) {
         if (error.status !== undefined && error.status < 500) {

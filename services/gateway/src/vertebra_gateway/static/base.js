@@ -1,6 +1,6 @@
 // A mobile base on the dashboard: a map to watch it and to send it somewhere, and a pad to drive it.
 
-import { showAction } from "./actions.js";
+import { resultText, showAction } from "./actions.js";
 import { DrivePad, Driver, velocityOf } from "./drive.js";
 import { BaseMap, poseOf } from "./map.js";
 
@@ -15,6 +15,19 @@ export function poseGoal({ x, y, heading }, frameId) {
   const orientation = { x: 0, y: 0, z: Math.sin(heading / 2), w: Math.cos(heading / 2) };
   return { pose: { header: { frame_id: frameId }, pose: { position, orientation } } };
 }
+
+/** What the error codes of Nav2 mean (nav2_msgs/action: FollowPath, ComputePathToPose). */
+const NAV2_ERRORS = {
+  103: "it has lost its place on the map", 105: "it makes no progress", 106: "there is no way to follow",
+  203: "it stands outside its map", 204: "the goal is outside its map", 205: "it stands in an obstacle",
+  206: "something is where the goal is", 207: "planning takes too long", 208: "there is no way to the goal",
+};
+
+/** What people are told of a base that drives to a pose. */
+export const NAVIGATION = {
+  feedback: progressText,
+  result: (result) => result?.error_msg || NAV2_ERRORS[result?.error_code] || resultText(result),
+};
 
 /** How far a base has come that drives to a pose. */
 export function progressText(feedback) {

@@ -1,7 +1,7 @@
 // The dashboard: everything on it is made from what the gateway tells about its robots.
 
 import { Action, ActionCard } from "./actions.js";
-import { BaseCard, progressText, takesPose } from "./base.js";
+import { BaseCard, NAVIGATION, takesPose } from "./base.js";
 import { CameraCard } from "./camera.js";
 import { FormCard } from "./forms.js";
 import { JointsCard, movableFields } from "./joints.js";
@@ -221,7 +221,7 @@ class Robot {
     if (action === path || !has("result") || !has("cancel")) return;
     const call = (leaf, body, timeoutS = CALL_TIMEOUT_S) =>
       client.call(this.name, `${action}/${leaf}`, body, { timeoutS });
-    this.#actions.set(action, new Action(call, takesPose(resource) ? progressText : undefined));
+    this.#actions.set(action, new Action(call, takesPose(resource) ? NAVIGATION : undefined));
   }
 
   #add(resource) {
