@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import math
 import time
 from collections.abc import AsyncIterator, Iterator
 from typing import Any, Final
@@ -75,6 +76,31 @@ def test_joints_move_to_where_they_are_told_to(web: httpx.Client) -> None:
         assert joints["message"]["names"] == JOINTS
         assert joints["message"]["positions_deg"][2] == pytest.approx(target_deg, abs=0.5)
         assert joints["age_s"] < 1.0
+
+
+def test_the_base_drives_and_navigates(web: httpx.Client) -> None:
+    """The command and the odometry travel over DDS, from container to container."""
+
+    def place() -> tuple[float, float]:
+        told = web.get("robots/vizzy/base/odometry").raise_for_status().json()
+        assert told["age_s"] < 1.0
+        x_m, y_m, _ = told["message"]["pose"]["position_m"]
+        return x_m, y_m
+
+    began = place()
+    for _ in range(4):
+        answer = web.post("robots/vizzy/base/drive", json={"linear_m_s": 0.3, "for_s": 0.5})
+        assert answer.raise_for_status().json()["stops_in_s"] == 0.5
+        time.sleep(0.25)
+    assert math.dist(began, place()) > 0.1
+    pose = {"position": {"x": -1.0, "y": -1.0}}
+    goal = web.post("robots/vizzy/base/navigate/goal", json={"pose": {"pose": pose}})
+    named = goal.raise_for_status().json()
+    ended = web.post("robots/vizzy/base/navigate/result", json=named, timeout=60)
+    assert ended.raise_for_status().json()["status"] == "succeeded"
+    assert math.dist(place(), (-1.0, -1.0)) < 0.1
+    stopped = web.post("robots/vizzy/base/stop").raise_for_status().json()
+    assert stopped == {"cancelling": []}
 
 
 def test_a_position_outside_the_limits_is_refused_with_the_limit(web: httpx.Client) -> None:

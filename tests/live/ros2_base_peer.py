@@ -83,6 +83,12 @@ class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
 
 
 @dataclass
+class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
+    header: Header
+    twist: Twist
+
+
+@dataclass
 class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
     twist: Twist
     covariance: Covariance
@@ -154,6 +160,7 @@ TOPICS: dict[str, tuple[Any, Qos]] = {
     "scan": (LaserScan, ros_qos(reliable=False, depth=5)),
     "joint_states": (JointState, ros_qos()),
     "cmd_vel": (Twist, ros_qos()),
+    "stamped": (TwistStamped, ros_qos()),
 }
 
 
@@ -175,6 +182,8 @@ def told(one: Any) -> Any:
         return [one.header.frame_id, len(one.ranges), one.ranges[len(one.ranges) // 2]]
     if isinstance(one, JointState):
         return [list(one.name), list(one.position), list(one.velocity)]
+    if isinstance(one, TwistStamped):
+        return [one.header.stamp.sec, one.twist.linear.x, one.twist.angular.z]
     return [one.linear.x, one.angular.z]
 
 

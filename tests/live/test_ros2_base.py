@@ -143,10 +143,10 @@ async def simulate(domain_id: int) -> asyncio.subprocess.Process:
 
 
 @asynccontextmanager
-async def running() -> AsyncIterator[Lab]:
+async def running(routes: Path = ROUTES) -> AsyncIterator[Lab]:
     domain_id, network = next(DOMAINS), MemoryNetwork()
     bus = MemoryBus(network)
-    settings = Ros2Settings(domain_id=domain_id, routes=ROUTES)
+    settings = Ros2Settings(domain_id=domain_id, routes=routes)
     service = asyncio.create_task(run_service("ros2", settings, serve, bus=MemoryBus(network)))
     async with AsyncExitStack() as stack:
         lab = Lab(bus, domain_id, service, await simulate(domain_id), stack)
@@ -384,6 +384,34 @@ async def test_ros_nodes_drive_it_and_it_stops_when_they_die(lab: Lab) -> None:
     odometry = await lab.next("odometry", Odometry)
     assert odometry.twist.linear_m_s[0] == 0
     assert x_m > odometry.pose.position_m[0] > x_m - 0.3
+
+
+async def test_a_base_that_takes_stamped_velocities_is_driven(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    other = """bases:
+  - {ros: /stamped, key: other/base, type: geometry_msgs/msg/TwistStamped, max_linear_m_s: 1,
+     max_angular_deg_s: 90}
+"""
+    routes.write_text(ROUTES.read_text().replace("bases:\n", other))
+    async with running(routes) as lab:
+        with pytest.raises(RemoteError, match="nobody subscribes to /stamped; start the base"):
+            await lab.bus.call("other/base/drive", b"", timeout_s=5)
+        watch = await lab.peer("watch")
+
+        async def driven() -> bool:
+            command = b'{"linear_m_s": 1, "angular_deg_s": 90}'
+            try:
+                await lab.bus.call("other/base/drive", command, timeout_s=5)
+            except RemoteError:
+                return False
+            return True
+
+        async with asyncio.timeout(10):
+            while not await driven():
+                await asyncio.sleep(0.05)
+        ((sec, linear_m_s, angular_rad_s),) = await watch.until("stamped")
+    assert sec == pytest.approx(time.time(), abs=20)
+    assert (linear_m_s, angular_rad_s) == (1.0, pytest.approx(math.pi / 2))
 
 
 async def test_the_adapter_stops_it_when_it_goes(lab: Lab) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -18,6 +19,11 @@ _OK: Final = 0
 _WARN: Final = 1
 
 Record = Mapping[str, Any]
+
+
+def token_of(robot: str) -> str:
+    """Return the name of a robot as ROS can say it."""
+    return re.sub(r"^(?=\d)|\W", "_", robot, flags=re.ASCII)
 
 
 def header(stamp_ns: int, frame_id: str = ODOM) -> Record:

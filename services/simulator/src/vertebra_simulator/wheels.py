@@ -45,7 +45,7 @@ async def serve_wheels(context: Context[SimulatorSettings]) -> None:
     types = await asyncio.to_thread(Types.standard)
     part = Participation(
         domain_id=settings.ros2_domain_id,
-        node=f"{settings.robot}_base",
+        node=f"{records.token_of(settings.robot)}_base",
         interface="" if settings.ros2_interface == "auto" else settings.ros2_interface,
         peers=settings.ros2_peers,
     )
