@@ -73,6 +73,9 @@ def run(block: Block, up: Up, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_every_command_is_run_by_some_test() -> None:
+    source = Path(__file__).read_text(encoding="utf-8")
+    in_fleets = [block for block in BLOCKS if block.where == "fleet"]
+    assert {f"in_fleet({number})" in source for number in range(len(in_fleets))} == {True}
     fences = re.findall(r"^```(?:sh|python)$", README, re.MULTILINE)
     assert len(fences) == len(BLOCKS)
     for block in BLOCKS:
@@ -142,6 +145,17 @@ def test_tools_in_the_readme_of_the_yarp_service(desk: tuple[Up, Path]) -> None:
     assert re.search(r"Response: \[is\] \[encs\] \(", said)
     assert "Testing /vizzy/imu at tcp://127.0.0.1:" in said
     assert "removing" not in said
+
+
+def test_tools_of_ros2(desk: tuple[Up, Path]) -> None:
+    up, folder = desk
+    setting = f"export ROS_DOMAIN_ID={up.environment['VERTEBRA_ROS2_DOMAIN_ID']}\n"
+    block = in_fleet(5)
+    said = run(block._replace(text=setting + block.text), up, folder).stdout
+    assert re.search(r"^/odom +nav_msgs/msg/Odometry +/vizzy_base ", said, re.MULTILINE)
+    assert "child_frame_id: base_link" in said
+    assert "distance_remaining: " in said
+    assert "status: succeeded" in said
 
 
 def test_python_example_sees_the_camera(desk: tuple[Up, Path]) -> None:
