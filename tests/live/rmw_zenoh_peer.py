@@ -30,6 +30,7 @@ ADD = "example_interfaces::srv::dds_::AddTwoInts_"
 JOINTS = "sensor_msgs::msg::dds_::JointState_"
 IMAGE = "sensor_msgs::msg::dds_::Image_"
 SEND_GOAL, GET_RESULT = f"{FIBONACCI}SendGoal_", f"{FIBONACCI}GetResult_"
+STATUS = "action_msgs::msg::dds_::GoalStatusArray_"
 FEEDBACK, CANCEL = f"{FIBONACCI}FeedbackMessage_", "action_msgs::srv::dds_::CancelGoal_"
 HASHES = {  # as rosidl of Jazzy writes them
     STRING: "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
@@ -39,6 +40,7 @@ HASHES = {  # as rosidl of Jazzy writes them
     SEND_GOAL: "d1a57fb2a4afe8c21e34fb10db206f16ce6729b28531141472df92277c55b557",
     GET_RESULT: "1b0de0d5d29dc955d92f546706568428632771db13ec84c15ec1c1a59f424a57",
     FEEDBACK: "c1de71afd52e49a89c53d8262366884185bc0a02f78ce051c4e46b0a7fe59bb2",
+    STATUS: "6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e",
     CANCEL: "573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a",
 }
 HEADER = bytes((0, 1, 0, 0))
@@ -382,6 +384,37 @@ def count_up(node: Node) -> None:
                 answer.give(struct.pack(f"<b3xI{len(numbers)}i", status, len(numbers), *numbers))
 
 
+def act(node: Node, name: str, order: int) -> None:
+    """Be a client of the action Fibonacci and see a goal to its end."""
+    goal = os.urandom(16)
+
+    def went_on(sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        (count,) = struct.unpack_from("<I", payload, 20)
+        say("feedback", payload[4:20] == goal, *struct.unpack_from(f"<{count}i", payload, 24))
+
+    def changed(sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        (count,) = struct.unpack_from("<I", payload, 4)
+        for number in range(count):  # 16 bytes, a time, and a state filled up to 4 bytes each
+            start = 8 + 28 * number
+            if payload[start : start + 16] == goal:
+                say("state", payload[start + 24])
+
+    node.subscribe(f"/{name}/_action/feedback", FEEDBACK, went_on)
+    node.subscribe(f"/{name}/_action/status", STATUS, changed, LATCHED)
+    send_goal = node.client(f"/{name}/_action/send_goal", SEND_GOAL)
+    get_result = node.client(f"/{name}/_action/get_result", GET_RESULT)
+    node.wait_for("SS", f"/{name}/_action/send_goal")
+    node.wait_for("SS", f"/{name}/_action/get_result")
+    reply, is_ours = send_goal(HEADER + goal + struct.pack("<i", order))
+    say("accepted", is_ours, reply[4])
+    reply, is_ours = get_result(HEADER + goal)
+    (count,) = struct.unpack_from("<I", reply, 8)
+    say("result", is_ours, reply[4], *struct.unpack_from(f"<{count}i", reply, 12))
+    node.done.wait()
+
+
 def watch(node: Node) -> None:
     """Say what comes and goes in the graph."""
 
@@ -418,6 +451,7 @@ ROLES: dict[str, Callable[..., None]] = {
     "serve_sum": serve_sum,
     "ask_sum": lambda node, count: ask_sum(node, int(count)),
     "count_up": count_up,
+    "act": lambda node, name, order: act(node, name, int(order)),
     "watch": watch,
     "peers": peers,
 }

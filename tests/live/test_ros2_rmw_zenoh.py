@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-from tests.live.ros2_lab import Lab, Peer, adapter, drain, first, running
 from vertebra.bus import Delivery, MemoryNetwork, Reply, Request, ZenohBus
 from vertebra.bus.router import running_router
 from vertebra.codec import CodecRegistry
@@ -27,6 +26,10 @@ from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
+
+from .ros2_lab import Lab, Peer, adapter, drain, first, running
+from .test_ros2_actions import OFFERED as OFFERED_ACTION
+from .test_ros2_actions import counter
 
 pytestmark = pytest.mark.live
 
@@ -287,6 +290,51 @@ async def test_action_is_started_followed_and_cancelled(network: Network) -> Non
         started = await lab.call("robot/count/goal", {"order": 1000})
         assert await lab.call("robot/count/cancel", started) == {"cancelling": [started["goal_id"]]}
         assert (await lab.call("robot/count/result", started))["status"] == "canceled"
+
+
+async def test_ros_client_has_its_goal_reached_by_the_fleet(network: Network) -> None:
+    async with (
+        network.lab(OFFERED_ACTION) as lab,
+        counter(lab),
+        network.node("act", "fleet_count", "5") as client,
+    ):
+        assert await client.until("accepted") == ["accepted", True, 1]
+        assert (await client.until("feedback"))[:5] == ["feedback", True, 0, 1, 1]
+        assert await client.until("result") == ["result", True, 4, 0, 1, 1, 2, 3, 5]
+        await client.until("state", 2)
+        await client.until("state", 4)
+
+
+async def test_two_adapters_carry_each_message_once(network: Network) -> None:
+    both_ways = OUTBOUND + "  - {ros: /chatter, key: robot/said, depth: 200}\n"
+    await asyncio.to_thread(network.routes.write_text, both_ways)
+    backbone = MemoryNetwork()
+    chosen = {"driver": "rmw_zenoh", "zenoh_router": network.router.locator}
+    async with (
+        adapter(backbone, network.domain_id, network.routes, **chosen, node="one") as one,
+        adapter(
+            backbone, network.domain_id, network.routes, **chosen, node="two", instance="2"
+        ) as two,
+    ):
+        said, mirrored = one.read("robot/said", Text), two.read("ros2/chatter", Text)
+        publisher = one.publisher("robot/words")
+        async with network.node("listen") as listener:
+            await listener.until("ready")
+            while not listener.lines_so_far():
+                publisher.publish(Text(text="hello"))
+                await asyncio.sleep(0.05)
+            await asyncio.sleep(0.5)
+            listener.lines_so_far().clear()
+            for number in range(50):
+                publisher.publish(Text(text=str(number)))
+                await asyncio.sleep(0.005)
+            await asyncio.sleep(0.5)  # a loop would go on
+            assert [line[1] for line in listener.lines_so_far()] == list(map(str, range(50)))
+        assert (said.subscription.received, mirrored.subscription.received) == (0, 0)
+        async with network.node("talk"):
+            texts = [(await first(said)).message for _ in range(20)]
+        numbers = [int(one.text.split()[1]) for one in texts if isinstance(one, Text)]
+        assert numbers == list(range(numbers[0], numbers[0] + 20))
 
 
 async def test_our_node_is_in_the_graph(network: Network) -> None:
