@@ -171,6 +171,19 @@ async def test_letting_go_overtakes_no_drive_that_is_under_way(
     await eventually(lambda: base.drives[1:] == [STILL, STILL])
 
 
+async def test_the_stop_beats_the_pad(base: FakeBase, page: Page, panel: Locator) -> None:
+    base.delay_s = 0.3
+    await hold(page, panel, 0, -200)
+    await eventually(lambda: len(base.drives) > 1)
+    await page.keyboard.press("Escape")
+    await eventually(lambda: base.stops == 2)  # and after the drive that was under way
+    driven = len(base.drives)
+    await asyncio.sleep(3 * PERIOD_S)
+    assert (len(base.drives), base.stops) == (driven, 2)
+    await expect(panel.locator(".error")).to_be_hidden()
+    await page.mouse.up()
+
+
 async def test_a_base_of_which_the_gateway_dies_stops_by_itself(
     lab: Lab, base: FakeBase, page: Page, panel: Locator
 ) -> None:

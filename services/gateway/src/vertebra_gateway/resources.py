@@ -275,6 +275,9 @@ class Robots:
             log.info("robot %s is online", robot.profile.robot)
         elif reason and robot.online:
             log.warning("robot %s is away: %s", robot.profile.robot, reason)
+        if not reason and away != robot.away:
+            parts = ", ".join(away) or "none"
+            log.info("parts of robot %s that are away: %s", robot.profile.robot, parts)
         robot.reason, robot.away, robot.limits = reason, away, limits
         for tell in tuple(self.changed):
             tell()

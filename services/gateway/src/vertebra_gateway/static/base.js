@@ -145,9 +145,16 @@ export class BaseCard {
     this.map.scan(sample);
   }
 
-  /** Let go of the pad; what drives the base by itself is ended by its stop. */
+  /** Drive no more; a stop of the base follows. Return what is under way. */
   halt() {
+    this.driver.drop();
     this.pad.release();
+    return this.driver.underWay;
+  }
+
+  /** Leave the page. */
+  close() {
+    this.pad.close();
   }
 
   /** Show how fresh the odometry is. */

@@ -313,8 +313,8 @@ class Robot {
 
   /** Stop, and again after a move that was under way: it may have arrived later. */
   async stop(resource) {
-    for (const card of this.#bases) card.halt();
-    const halted = Promise.all(this.#joints.map((card) => card.halt()));
+    const bases = this.#bases.filter(({ part }) => resource.path.startsWith(`${part}/`));
+    const halted = Promise.all([...this.#joints, ...bases].map((card) => card.halt()));
     await this.#call(resource);
     const moves = (await halted).flat();
     if (moves.some((move) => move !== null)) await this.#call(resource);
@@ -454,6 +454,7 @@ class Robot {
 
   remove() {
     for (const stream of this.#streams) stream.close();
+    for (const card of this.#bases) card.close();
     this.element.remove();
   }
 }

@@ -16,7 +16,7 @@ const KEYS = {
 export class Driver {
   #velocity = null;
   #timer = null;
-  /** @type {Promise<void> | null} */ #underWay = null;
+  /** What is under way; null if nothing is. @type {Promise<void> | null} */ underWay = null;
 
   /** @param {(body: Object<string, number>) => Promise<void>} drive must not reject */
   constructor(drive) {
@@ -34,17 +34,22 @@ export class Driver {
   /** Stand still, and again after a drive that was under way: it may have arrived later. */
   release() {
     if (this.#timer === null) return;
-    clearInterval(this.#timer);
-    this.#timer = null;
+    this.drop();
     const still = { linear_m_s: 0, angular_deg_s: 0 };
     this.drive(still);
-    this.#underWay?.then(() => this.#timer === null && this.drive(still));
+    this.underWay?.then(() => this.#timer === null && this.drive(still));
+  }
+
+  /** Send nothing more: something else stops the base. */
+  drop() {
+    clearInterval(this.#timer);
+    this.#timer = null;
   }
 
   #send() {
-    if (this.#underWay) return;
-    this.#underWay = this.drive({ ...this.#velocity, for_s: HOLDS_S }).then(() => {
-      this.#underWay = null;
+    if (this.underWay) return;
+    this.underWay = this.drive({ ...this.#velocity, for_s: HOLDS_S }).then(() => {
+      this.underWay = null;
     });
   }
 }
@@ -70,6 +75,7 @@ export class DrivePad {
   #pointer = null;
   /** @type {Set<string>} */ #keys = new Set();
   #enabled = false;
+  #closing = new AbortController();
 
   /**
    * @param {HTMLElement} element
@@ -89,8 +95,15 @@ export class DrivePad {
     panel.addEventListener("keydown", (event) => this.#keyDown(event));
     panel.addEventListener("keyup", (event) => this.#keyUp(event));
     panel.addEventListener("focusout", ({ relatedTarget }) => panel.contains(relatedTarget) || this.release());
-    window.addEventListener("blur", () => this.release());
-    document.addEventListener("visibilitychange", () => document.hidden && this.release());
+    const { signal } = this.#closing;
+    window.addEventListener("blur", () => this.release(), { signal });
+    document.addEventListener("visibilitychange", () => document.hidden && this.release(), { signal });
+  }
+
+  /** Let go for good. */
+  close() {
+    this.enable(false);
+    this.#closing.abort();
   }
 
   /** Let go. */
