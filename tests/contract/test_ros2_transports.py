@@ -17,7 +17,8 @@ from vertebra.bus.router import running_router
 from vertebra.errors import ConfigError, TransportError
 from vertebra.ros2.dds.driver import DdsTransport
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.driver import Participation
+from vertebra.ros2.drivers import open_driver
 from vertebra.ros2.qos import Qos
 from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port

@@ -17,7 +17,7 @@ from typing import Any
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
 from vertebra.codec import CodecRegistry
 from vertebra.messages import Message, Status
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import Participation
 from vertebra.service import MessagePublisher, MessageReader, Received, run_service
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings

@@ -13,7 +13,8 @@ from vertebra.bus import Reply, Request
 from vertebra.errors import RemoteError
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.driver import Participation
+from vertebra.ros2.drivers import open_driver
 from vertebra.ros2.qos import Qos
 from vertebra.testing.bus_suite import eventually
 

@@ -11,8 +11,8 @@ from typing import Final
 
 from vertebra.errors import CodecError, ConfigError
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import Transport
-from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.driver import Participation, Transport
+from vertebra.ros2.drivers import open_driver
 from vertebra.service import Context
 from vertebra.service.routes import follow_routes, read_routes
 from vertebra_ros2.action_servers import OutboundAction

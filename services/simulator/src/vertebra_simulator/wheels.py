@@ -10,8 +10,8 @@ from typing import Any, Final
 from vertebra.errors import CommandRefusedError
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import Transport, Writer
-from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.driver import Participation, Transport, Writer
+from vertebra.ros2.drivers import open_driver
 from vertebra.ros2.qos import Qos
 from vertebra.service import Context
 from vertebra_simulator import records

@@ -14,8 +14,8 @@ from vertebra.errors import NotConnectedError
 from vertebra.messages import Native
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import Transport
-from vertebra.ros2.drivers import Participation, open_driver
+from vertebra.ros2.driver import Participation, Transport
+from vertebra.ros2.drivers import open_driver
 
 _OPEN_WITHIN_S: Final = 3.0
 T = TypeVar("T")

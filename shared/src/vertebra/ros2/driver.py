@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
+from msgspec import Struct
+
+from vertebra.bus import DEFAULT_ROUTER
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.qos import Qos
 
@@ -16,6 +19,26 @@ OnPayload = Callable[[bytes, int], None]
 """Takes a payload, and when it was written (UTC, ns)."""
 OnRequest = Callable[[bytes], Awaitable[bytes | None]]
 """Answers a request with a reply; with None, that nobody gets one."""
+
+
+class Participation(Struct, frozen=True, kw_only=True):
+    """As which node we take part in which ROS graph.
+
+    Attributes:
+        domain_id: What ROS_DOMAIN_ID is to ROS.
+        node: Name of our node.
+        namespace: Of our node.
+        interface: Network interface; if this and `peers` are empty, the driver's own way decides.
+        peers: Addresses of hosts to look for without multicast.
+        router: Zenoh locator of the router, for `rmw_zenoh`, which needs nothing else.
+    """
+
+    domain_id: int = 0
+    node: str = "vertebra"
+    namespace: str = "/"
+    interface: str = ""
+    peers: tuple[str, ...] = ()
+    router: str = DEFAULT_ROUTER
 
 
 class Closeable(Protocol):

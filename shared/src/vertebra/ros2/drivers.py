@@ -8,12 +8,9 @@ from contextlib import asynccontextmanager
 from importlib import import_module
 from typing import Final, Literal
 
-from msgspec import Struct
-
-from vertebra.bus import DEFAULT_ROUTER
 from vertebra.errors import ConfigError
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import Transport
+from vertebra.ros2.driver import Participation, Transport
 
 _NO_ROS: Final = (
     "ROS 2 cannot be imported: {}; source its setup.bash and run the Python that it was built for, "
@@ -21,26 +18,6 @@ _NO_ROS: Final = (
 )
 
 DriverName = Literal["dds", "rclpy", "rmw_zenoh"]
-
-
-class Participation(Struct, frozen=True, kw_only=True):
-    """As which node we take part in which ROS graph.
-
-    Attributes:
-        domain_id: What ROS_DOMAIN_ID is to ROS.
-        node: Name of our node.
-        namespace: Of our node.
-        interface: Network interface; if this and `peers` are empty, the driver's own way decides.
-        peers: Addresses of hosts to look for without multicast.
-        router: Zenoh locator of the router, for `rmw_zenoh`, which needs nothing else.
-    """
-
-    domain_id: int = 0
-    node: str = "vertebra"
-    namespace: str = "/"
-    interface: str = ""
-    peers: tuple[str, ...] = ()
-    router: str = DEFAULT_ROUTER
 
 
 @asynccontextmanager

@@ -12,7 +12,8 @@ import sys
 import msgspec
 
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.drivers import DriverName, Participation, open_driver
+from vertebra.ros2.driver import Participation
+from vertebra.ros2.drivers import DriverName, open_driver
 from vertebra.ros2.qos import Qos
 
 TEXT = "std_msgs/msg/String"

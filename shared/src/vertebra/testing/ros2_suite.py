@@ -25,8 +25,8 @@ from vertebra.errors import (
 )
 from vertebra.ros2.cdr import PADDING_BYTES, Cdr
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import Client, Transport, Writer
-from vertebra.ros2.drivers import DriverName, Participation, open_driver
+from vertebra.ros2.driver import Client, Participation, Transport, Writer
+from vertebra.ros2.drivers import DriverName, open_driver
 from vertebra.ros2.qos import LATCHED, Qos, mismatch
 from vertebra.testing import ros2_member
 from vertebra.testing.bus_suite import eventually

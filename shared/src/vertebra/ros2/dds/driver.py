@@ -31,8 +31,7 @@ from vertebra.ros2.dds.announced import Raw, configuration, mismatch_of, ros_qos
 from vertebra.ros2.dds.participant import Input, Participant, delete, write
 from vertebra.ros2.dds.services import ServiceClient, ServiceServer
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import OnPayload, OnRequest
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import OnPayload, OnRequest, Participation
 from vertebra.ros2.graph import Graph, endpoint_of, nodes_of
 from vertebra.ros2.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, dds_name
 from vertebra.ros2.qos import LATCHED, Qos

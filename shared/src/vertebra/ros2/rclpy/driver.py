@@ -12,8 +12,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 
 from vertebra.errors import ConfigError, DeadlineError, NotConnectedError
-from vertebra.ros2.driver import OnPayload, OnRequest
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import OnPayload, OnRequest, Participation
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.names import check_name
 from vertebra.ros2.qos import Qos

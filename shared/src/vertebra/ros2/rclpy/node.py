@@ -23,7 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from vertebra.errors import CodecError, ConfigError, TransportError
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import Participation
 from vertebra.ros2.rclpy.classes import class_of
 
 log = logging.getLogger(__name__)

@@ -9,8 +9,7 @@ from typing import Any, Final
 
 from vertebra.bus.links import open_client
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.driver import OnPayload, OnRequest
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import OnPayload, OnRequest, Participation
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.qos import Qos
 from vertebra.ros2.rmw_zenoh.services import ServiceClient, ServiceServer

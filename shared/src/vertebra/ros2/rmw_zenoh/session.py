@@ -25,7 +25,7 @@ from vertebra.errors import (
     TransportError,
 )
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.drivers import Participation
+from vertebra.ros2.driver import Participation
 from vertebra.ros2.graph import Endpoint, Graph
 from vertebra.ros2.names import Role
 from vertebra.ros2.qos import Qos
