@@ -211,6 +211,19 @@ async def test_parameters_are_read_and_set(lab: Lab) -> None:
         assert got["values"][0]["bool_value"] is True
 
 
+async def test_parameters_are_plain_values(lab: Lab) -> None:
+    async with running(program("talker")) as talker:
+        await talker.until("Hello World")
+        await until_offered(lab, "/chatter")
+        node = "ros2/talker/parameters"
+        assert "use_sim_time" in (await lab.call(f"{node}/list", {}, 10))["names"]
+        await lab.call(f"{node}/set", {"use_sim_time": True}, 10)
+        got = await lab.call(f"{node}/get", {"names": ["use_sim_time"]}, 10)
+        assert got == {"use_sim_time": True}
+        told = await lab.call(f"{node}/describe", {"names": ["use_sim_time"]}, 10)
+        assert told["use_sim_time"]["type"] == "boolean"
+
+
 async def test_a_goal_is_followed_to_its_result(lab: Lab) -> None:
     async with running(program("server")):
         feedback = lab.read("lab/count/feedback", Native)
@@ -330,3 +343,16 @@ async def test_our_node_is_listed_and_described(lab: Lab) -> None:
     assert "/joint_states: sensor_msgs/msg/JointState" in told
     assert "/robot/add: example_interfaces/srv/AddTwoInts" in told
     assert "/robot/count: example_interfaces/action/Fibonacci" in told
+
+
+async def test_settings_of_our_node_are_parameters(lab: Lab) -> None:
+    words = ("--no-daemon", "--spin-time", "2")
+    listed = await tool("param", "list", "/vertebra", *words)
+    assert {"domain_id", "driver", "use_sim_time"} <= set(listed.split())
+    got = await tool("param", "get", "/vertebra", "domain_id", *words)
+    assert f"Integer value is: {lab.domain_id}" in got
+    refused = await tool("param", "set", "/vertebra", "domain_id", "5", *words)
+    assert "set VERTEBRA_ROS2_DOMAIN_ID and restart the service" in refused
+    told = await tool("param", "describe", "/vertebra", "automatic", *words)
+    assert "Type: boolean" in told
+    assert "Read only: true" in told
