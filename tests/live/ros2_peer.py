@@ -465,6 +465,12 @@ class RawImage(Raw):
     __idl__ = Image.__idl__
     __idl_typename__ = Image.__idl_typename__
 
+    @classmethod
+    def deserialize(cls, payload: bytes) -> "RawImage":
+        return cls(payload)
+
+    deserialize_key = deserialize
+
 
 @dataclass
 class Name(IdlStruct, typename="lab_msgs.msg.dds_.Strange_"):
@@ -624,6 +630,18 @@ def images(peer: Peer, count: int, rate_hz: float) -> None:
             return
     say("sent", count)
     peer.done.wait()
+
+
+def hear_streams(peer: Peer) -> None:
+    """Say the number in each joint state, and in the first pixels of each VGA image."""
+    joints = peer.read("rt/joints_in", JointState, qos(depth=200))
+    images = peer.read("rt/image_in", RawImage, qos(depth=10))
+    say("ready")
+    while not peer.done.wait(0.002):
+        for state in peer.take(joints):
+            say("joints", round(state.effort[0]))
+        for image in peer.take(images):
+            say("image", int.from_bytes(image.payload[-640 * 480 * 3 :][:8], "little"))
 
 
 def serve_sum(peer: Peer, *, as_fast_dds: bool) -> None:
@@ -986,6 +1004,8 @@ def main() -> None:
         joints(peer, int(arguments[0]), float(arguments[1]))
     elif role == "images":
         images(peer, int(arguments[0]), float(arguments[1]))
+    elif role == "hear_streams":
+        hear_streams(peer)
     elif role == "serve_sum":
         serve_sum(peer, as_fast_dds=False)
     elif role == "serve_sum_fast_dds":
