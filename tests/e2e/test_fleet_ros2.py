@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator
@@ -28,7 +27,7 @@ BACK_WITHIN_S: Final = 10.0
 async def ros_node(fleet: Fleet, *role: str) -> AsyncIterator[Process]:
     """Run a node that shares nothing with the fleet but the network and what is installed."""
     process = await asyncio.create_subprocess_exec(
-        "docker", "run", "--rm", "--interactive", "--network", f"{fleet.project}_default",
+        "docker", "run", "--rm", "--init", "--interactive", "--network", f"{fleet.project}_default",
         "--volume", f"{PEER}:/peer.py:ro", "--env", "ROS_DOMAIN_ID=0",
         "vertebra/ros2", "python", "/peer.py", *role,
         stdin=PIPE, stdout=PIPE,
@@ -36,8 +35,8 @@ async def ros_node(fleet: Fleet, *role: str) -> AsyncIterator[Process]:
     try:
         yield process
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            process.terminate()
+        assert process.stdin is not None
+        process.stdin.close()  # with which the node ends
         await process.communicate()
 
 

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import os
+import sys
+import time
+from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from vertebra.bus import MemoryNetwork, Reply, Request
+from vertebra.bus import Delivery, MemoryNetwork, Reply, Request, ZenohBus
+from vertebra.bus.router import running_router
+from vertebra.codec import CodecRegistry
 from vertebra.errors import ConfigError
 from vertebra.messages import Message, Text
 from vertebra.service import MessageReader
 from vertebra.service.settings import load_settings
 from vertebra.testing.bus_suite import eventually
+from vertebra.testing.ports import free_tcp_port
 from vertebra_ros2.settings import Ros2Settings
 
-from .ros2_lab import DOMAINS, ON_LOOPBACK, Lab, Peer, adapter, drain, first, peer
+from .ros2_lab import DOMAINS, ON_LOOPBACK, PEER, Lab, Peer, adapter, drain, first, peer
 
 pytestmark = pytest.mark.live
 
@@ -192,6 +200,54 @@ async def test_the_other_adapter_takes_over_when_one_is_gone(tmp_path: Path) -> 
             assert await back.carried() == {}  # who comes back does not interrupt
             assert (await three.carried())["/chatter"] == "robot/words"
         reader.subscription.close()
+
+
+async def test_the_other_adapter_takes_over_from_one_that_is_killed(tmp_path: Path) -> None:
+    locator, domain_id = f"tcp/127.0.0.1:{free_tcp_port()}", str(next(DOMAINS))
+    environment = {
+        **os.environ,
+        "VERTEBRA_ROUTER": locator,
+        "VERTEBRA_HEARTBEAT_DIR": str(tmp_path),
+        "VERTEBRA_ROS2_DOMAIN_ID": domain_id,
+        "ROS_DOMAIN_ID": domain_id,
+    }
+
+    async with AsyncExitStack() as stack:
+
+        async def start(*words: str, **variables: str) -> Process:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, *words, env=environment | variables, stdin=PIPE, stdout=DEVNULL
+            )
+            stack.push_async_callback(killed, process)
+            return process
+
+        stack.enter_context(running_router([locator]))
+        bus = await ZenohBus.open(locator, timeout_s=10)
+        stack.push_async_callback(bus.close)
+        reader = MessageReader(
+            bus.subscribe("ros2/chatter", Delivery.queue(5000)), CodecRegistry(), Message
+        )
+        async with bus.presence("@vertebra/ros2/turns/**") as claims, asyncio.timeout(20):
+            first_one = await start("-m", "vertebra_ros2", VERTEBRA_INSTANCE="1")
+            await anext(claims)
+            await start("-m", "vertebra_ros2", VERTEBRA_INSTANCE="2", VERTEBRA_ROS2_NODE="two")
+            await anext(claims)
+        await start(str(PEER), "talk")
+        said = await numbers(reader, 50)
+        assert said == list(range(said[0], said[0] + 50))
+        await killed(first_one)
+        drain(reader)
+        began_s = time.monotonic()
+        said = await numbers(reader, 1)
+        assert time.monotonic() - began_s < TAKEN_OVER_WITHIN_S
+        said += await numbers(reader, 50)
+        assert said == list(range(said[0], said[0] + 51))
+
+
+async def killed(process: Process) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        process.kill()
+    await process.wait()
 
 
 A_TO_B = "topics: [{ros: /chatter, key: robot/said}]"
