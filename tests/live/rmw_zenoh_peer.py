@@ -339,6 +339,22 @@ def ask_sum(node: Node, count: int) -> None:
     node.done.wait()
 
 
+def ask_badly(node: Node) -> None:
+    """Ask what no node of rmw_zenoh asks: without an attachment, with half of one, for nothing."""
+    node.wait_for("SS", "/fleet_sum")
+    whole = attachment(1, bytes(16))
+    request = HEADER + struct.pack("<qq", 1, 2)
+    for payload, told in (
+        (request, None), (request, whole[:20]), (None, whole), (b"", whole), (request[:9], whole),
+    ):  # fmt: skip
+        replies = node.session.get(
+            node.key("/fleet_sum", ADD), timeout=5.0, payload=payload, attachment=told
+        )
+        say("replies", len([reply for reply in replies if reply.ok is not None]))
+    say("done")
+    node.done.wait()
+
+
 def count_up(node: Node) -> None:
     """Serve the action Fibonacci: one number each 50 ms; an order below 0 is refused."""
     running: dict[bytes, tuple[int, list[int]]] = {}
@@ -450,6 +466,7 @@ ROLES: dict[str, Callable[..., None]] = {
     "images": lambda node, count, rate: images(node, int(count), float(rate)),
     "serve_sum": serve_sum,
     "ask_sum": lambda node, count: ask_sum(node, int(count)),
+    "ask_badly": ask_badly,
     "count_up": count_up,
     "act": lambda node, name, order: act(node, name, int(order)),
     "watch": watch,

@@ -256,22 +256,31 @@ async def test_call_of_nobody_says_so(network: Network) -> None:
             await lab.call("robot/sum", {"a": 1})
 
 
+async def add(request: Request) -> Reply:
+    terms = json.loads(request.payload)
+    await asyncio.sleep(0.05)
+    return Reply(
+        payload=json.dumps({"sum": terms["a"] + terms["b"]}).encode(), encoding="application/json"
+    )
+
+
 @pytest.mark.parametrize("release", ["ask_sum", "ask_sum_humble"])
 async def test_key_is_called_through_ros(network: Network, release: str) -> None:
     async with network.lab(OFFERED) as lab:
-
-        async def add(request: Request) -> Reply:
-            terms = json.loads(request.payload)
-            await asyncio.sleep(0.05)
-            return Reply(
-                payload=json.dumps({"sum": terms["a"] + terms["b"]}).encode(),
-                encoding="application/json",
-            )
-
         lab.bus.serve("robot/sum", add)
         async with network.node(release, "3") as client:
             for number in (1, 2, 3):
                 assert await client.until("sum") == ["sum", True, number, number + 2]
+
+
+async def test_request_that_is_none_gets_no_answer_and_the_service_lives(network: Network) -> None:
+    async with network.lab(OFFERED) as lab:
+        lab.bus.serve("robot/sum", add)
+        async with network.node("ask_badly") as client:
+            await client.until("done")
+            assert client.kept == [["replies", 0]] * 5
+        async with network.node("ask_sum", "1") as client:
+            assert await client.until("sum") == ["sum", True, 1, 3]
 
 
 async def test_action_is_started_followed_and_cancelled(network: Network) -> None:

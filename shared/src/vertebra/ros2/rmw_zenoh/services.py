@@ -6,17 +6,19 @@ import asyncio
 import contextlib
 import logging
 import time
+from functools import partial
 from typing import Final
 
 import zenoh
 
+from vertebra.bus import Delivery, Subscription
 from vertebra.errors import DeadlineError, DecodeError, NotConnectedError, VertebraError
 from vertebra.ros2.driver import OnRequest
 from vertebra.ros2.graph import Endpoint
 from vertebra.ros2.names import check_name
 from vertebra.ros2.qos import Qos
 from vertebra.ros2.rmw_zenoh import wire
-from vertebra.ros2.rmw_zenoh.session import Declared, Session, in_loop, refusals
+from vertebra.ros2.rmw_zenoh.session import Session, in_loop, refusals
 from vertebra.ros2.rmw_zenoh.wire import Attachment
 
 log = logging.getLogger(__name__)
@@ -137,27 +139,28 @@ class ServiceServer:
         self._on_request = on_request
         self._closed = False
         self._tasks: set[asyncio.Task[None]] = set()
-        keys = session.own_keys(name, type_name)
-        declared = [self._declare(session.zenoh, key) for key in keys]
+        self._requests: Subscription[tuple[str, zenoh.Query]] = Subscription(
+            name, Delivery.queue(MAX_REQUESTS), key_of=lambda _: ""
+        )
+        declared = [
+            session.zenoh.declare_queryable(key, partial(self._arrived, key), complete=True)
+            for key in session.own_keys(name, type_name)
+        ]
         self._announced = session.announce("SS", name, type_name, _QOS, declared)
+        session.follow(self._requests, self._came)
 
-    def _declare(self, session: zenoh.Session, key: str) -> Declared:
-        loop = asyncio.get_running_loop()
+    def _arrived(self, key: str, query: zenoh.Query) -> None:
+        self._requests.offer((key, query))
 
-        def arrived(query: zenoh.Query) -> None:
-            in_loop(loop, self._came, key, query)
-
-        return session.declare_queryable(key, arrived, complete=True)
-
-    def _came(self, key: str, query: zenoh.Query) -> None:
-        if self._closed:
-            query.drop()
-            return
+    def _came(self, request: tuple[str, zenoh.Query]) -> None:
+        key, query = request
         attachment = query.attachment
         try:
             asked = wire.read_attachment(b"" if attachment is None else attachment.to_bytes())
-        except DecodeError as error:
-            log.warning("%s: refused a request: %s", self._name, error)
+        except DecodeError:
+            query.drop()
+            raise
+        if self._closed:
             query.drop()
             return
         if len(self._tasks) >= MAX_REQUESTS:
@@ -190,3 +193,4 @@ class ServiceServer:
         for task in self._tasks:
             task.cancel()
         self._announced.close()
+        self._requests.close()
