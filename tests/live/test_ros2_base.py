@@ -18,11 +18,14 @@ from typing import Any
 import pytest
 
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
+from vertebra.bus.router import running_router
 from vertebra.codec import CodecRegistry
 from vertebra.errors import DeadlineError, RemoteError
 from vertebra.messages import JointState, LaserScan, Message, Native, Odometry
+from vertebra.ros2.drivers import DriverName
 from vertebra.service import MessageReader, run_service
 from vertebra.testing.bus_suite import eventually
+from vertebra.testing.ports import free_tcp_port
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
 
@@ -133,9 +136,9 @@ async def end(process: asyncio.subprocess.Process, following: asyncio.Task[None]
     await following
 
 
-async def simulate(domain_id: int) -> asyncio.subprocess.Process:
+async def simulate(domain_id: int, **environment: str) -> asyncio.subprocess.Process:
     return await start(
-        None, "-c", SIMULATOR,
+        None, "-c", SIMULATOR, **environment,
         VERTEBRA_SIMULATOR_NAME_SERVER="127.0.0.1:1",
         VERTEBRA_SIMULATOR_ROS2="true",
         VERTEBRA_SIMULATOR_ROS2_DOMAIN_ID=str(domain_id),
@@ -143,13 +146,20 @@ async def simulate(domain_id: int) -> asyncio.subprocess.Process:
 
 
 @asynccontextmanager
-async def running(routes: Path = ROUTES) -> AsyncIterator[Lab]:
+async def running(
+    routes: Path = ROUTES, driver: DriverName = "dds", router: str = ""
+) -> AsyncIterator[Lab]:
     domain_id, network = next(DOMAINS), MemoryNetwork()
     bus = MemoryBus(network)
-    settings = Ros2Settings(domain_id=domain_id, routes=routes)
+    settings = Ros2Settings(domain_id=domain_id, routes=routes, driver=driver, zenoh_router=router)
+    environment = {
+        "VERTEBRA_SIMULATOR_ROS2_DRIVER": driver,
+        "VERTEBRA_SIMULATOR_ROS2_ZENOH_ROUTER": router,
+    }
     service = asyncio.create_task(run_service("ros2", settings, serve, bus=MemoryBus(network)))
     async with AsyncExitStack() as stack:
-        lab = Lab(bus, domain_id, service, await simulate(domain_id), stack)
+        simulator = await simulate(domain_id, **environment)
+        lab = Lab(bus, domain_id, service, simulator, stack)
         try:
             await appears(lab)
             yield lab
@@ -412,6 +422,18 @@ async def test_a_base_that_takes_stamped_velocities_is_driven(tmp_path: Path) ->
         ((sec, linear_m_s, angular_rad_s),) = await watch.until("stamped")
     assert sec == pytest.approx(time.time(), abs=20)
     assert (linear_m_s, angular_rad_s) == (1.0, pytest.approx(math.pi / 2))
+
+
+async def test_it_is_driven_on_zenoh() -> None:
+    locator = f"tcp/127.0.0.1:{free_tcp_port()}"
+    with running_router([locator]):
+        async with running(driver="rmw_zenoh", router=locator) as lab:
+            goal = await lab.call("navigate/goal", **to(0.4, 0.0))
+            ended = await lab.call("navigate/result", timeout_s=20, **goal)
+            assert ended["status"] == "succeeded"
+            await lab.call("drive", linear_m_s=-0.3, for_s=1.0)
+            await asyncio.sleep(1.5)
+            assert await lab.x_m() < 0.3
 
 
 async def test_the_adapter_stops_it_when_it_goes(lab: Lab) -> None:

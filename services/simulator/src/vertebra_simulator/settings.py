@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
+from vertebra.ros2.drivers import DriverName
 from vertebra.service import ServiceSettings
 
 
@@ -29,6 +30,12 @@ class SimulatorSettings(ServiceSettings):
     )
     camera_rate_hz: float = Field(30.0, description="Images per second.", gt=0, le=100)
     ros2: bool = Field(default=False, description="Have a base with wheels, as a ROS 2 node.")
+    ros2_driver: DriverName = Field(
+        "dds", description="How it is a ROS 2 node: 'dds', 'rclpy' or 'rmw_zenoh'."
+    )
+    ros2_zenoh_router: str = Field(
+        "", description="Router of the ROS nodes, for 'rmw_zenoh'; empty for the fleet's own."
+    )
     ros2_domain_id: int = Field(0, ge=0, le=232, description="As ROS_DOMAIN_ID.")
     ros2_interface: str = Field(
         "lo", description="Network interface of DDS; 'auto' leaves it to DDS and CYCLONEDDS_URI."

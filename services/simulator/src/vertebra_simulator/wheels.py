@@ -48,8 +48,9 @@ async def serve_wheels(context: Context[SimulatorSettings]) -> None:
         node=f"{records.token_of(settings.robot)}_base",
         interface="" if settings.ros2_interface == "auto" else settings.ros2_interface,
         peers=settings.ros2_peers,
+        router=settings.ros2_zenoh_router or settings.router,
     )
-    async with open_driver("dds", part, types) as transport:
+    async with open_driver(settings.ros2_driver, part, types) as transport:
         wheels = Wheels(context, transport, Cdr(types))
         log.info("the base is the ROS 2 node /%s in domain %d", part.node, part.domain_id)
         async with asyncio.TaskGroup() as tasks:
