@@ -41,7 +41,10 @@ WHERE: Final = {
         for library in ("rclpy", "rosidl_generator_py", "rosidl_runtime_py")
     },
     "cyclonedds": ["shared/src/vertebra/ros2/dds/*.py"],
-    "rosbags": ["shared/src/vertebra/ros2/definitions.py"],
+    "rosbags": [
+        "shared/src/vertebra/ros2/definitions.py",
+        "shared/src/vertebra/ros2/interface_files.py",
+    ],
     # pictures and numbers
     "cv2": ["services/camera/*/driver_opencv.py", "services/face_tracking/*"],
     "PIL": ["plugins/pillow/*", "services/camera/*", "services/gateway/*", "services/simulator/*"],
@@ -63,7 +66,7 @@ PURE: Final = {
     "shared/src/vertebra/ros2/actions.py",
     "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
     "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/humans.py",
-    "shared/src/vertebra/ros2/mapping/*.py",
+    "shared/src/vertebra/ros2/interface_files.py", "shared/src/vertebra/ros2/mapping/*.py",
     "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py",
     "shared/src/vertebra/ros2/rmw_zenoh/wire.py",
     "shared/src/vertebra/yarp/protocol/*.py", "shared/src/vertebra/yarp/objects/*.py",

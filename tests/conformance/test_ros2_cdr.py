@@ -14,7 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from vertebra.errors import CodecError, DecodeError, EncodeError
 from vertebra.messages import Array
 from vertebra.ros2.cdr import Cdr
-from vertebra.ros2.definitions import Definition, Field, Types
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.interface_files import Definition, Field
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 TYPES = Types.standard()
@@ -145,6 +146,17 @@ def test_wide_text() -> None:
     assert cdr.decode(payload, "lab/msg/Wide") == {"text": "aé😀", "last": 7}
     with pytest.raises(EncodeError, match="at most 4"):
         cdr.encode({"text": "abcde"}, "lab/msg/Wide")
+
+
+def test_wide_text_as_rmw_cyclonedds_writes_it() -> None:
+    name = "example_interfaces/msg/WString"
+    seen = bytes.fromhex("00010000 04000000 61000000 e9000000 3dd80000 00de0000")
+    assert CDR.decode(seen, name) == {"data": "aé😀"}
+    for length in range(4, len(seen) - 8):
+        with pytest.raises(DecodeError):
+            CDR.decode(seen[:length], name)
+    with pytest.raises(DecodeError, match="is not UTF-16"):
+        CDR.decode(bytes.fromhex("00010000 02000000 00dc0000"), name)
 
 
 def test_bounds_are_held() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from vertebra.errors import CodecNotFoundError, ConfigError
-from vertebra.ros2.definitions import Field, Types
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.interface_files import Field
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +111,120 @@ def test_folder_of_a_lab(tmp_path: Path) -> None:
         Field("wide", "wstring"),
         Field("bytes", "uint8", "array", 4),
     )
+
+
+BY_ROSIDL = """// generated from rosidl_adapter/resource/msg.idl.em
+// with input from lab_msgs/msg/Tall.msg
+// an enum { in a comment }
+
+#include "geometry_msgs/msg/Point.idl"
+#include "std_msgs/msg/Header.idl"
+
+module lab_msgs {
+  module msg {
+    typedef double double__9[9];
+    typedef geometry_msgs::msg::Point geometry_msgs__msg__Point__2[2];
+    module Tall_Constants {
+      const uint8 FLAG = 3;
+      const string NAME = "struct { enum E { A }; }";
+    };
+    @verbatim (language="comment", text=
+      "Tall." "\\n" "map<this> is a comment; }")
+    struct Tall {
+      std_msgs::msg::Header header;
+
+      @unit (value="m")
+      @default (value=1.5)
+      double height;
+
+      double__9 covariance;
+      geometry_msgs__msg__Point__2 ends;
+      sequence<string<4>, 6> words;
+      wstring<5> wide;
+      octet one;
+      boolean map;
+      sequence<int64> many;
+    };
+  };
+};
+"""
+
+
+def test_idl_as_rosidl_writes_it() -> None:
+    types = Types()
+    types.add_idl(BY_ROSIDL, "Tall.idl")
+    assert types.definition("lab_msgs/msg/Tall") == (
+        Field("header", "std_msgs/msg/Header"),
+        Field("height", "float64"),
+        Field("covariance", "float64", "array", 9),
+        Field("ends", "geometry_msgs/msg/Point", "array", 2),
+        Field("words", "string", "bounded", 6, max_text=4),
+        Field("wide", "wstring", max_text=5),
+        Field("one", "byte"),
+        Field("map", "bool"),
+        Field("many", "int64", "sequence"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("member", "told"),
+    [
+        ("enum Color { RED, GREEN }; struct T { Color color; };", "have no 'enum'"),
+        ("union U switch (long) { case 1: long x; };", "have no 'union'"),
+        ("bitmask M { A, B };", "have no 'bitmask'"),
+        ("struct T { map<string, int32> x; };", "have no 'map<'"),
+        ("struct T { wchar x; };", "have no 'wchar'"),
+        ("struct T { sequence<sequence<int32>> x; };", "have no 'sequence<sequence'"),
+        ("struct T { long double x; };", "float128 x is of no type"),
+        ("struct T { int32 x[2][3]; };", "cannot be read"),
+        ("struct T : Base { int32 x; };", "cannot be read"),
+        ("struct T { };", "cannot be read"),
+    ],
+)
+def test_idl_that_no_message_has_is_refused(member: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=rf"Bad\.idl(:3)?: .*{told}"):
+        Types().add_idl(f"module lab {{ module msg {{\n\n{member} }}; }};", "Bad.idl")
+
+
+def test_struct_outside_of_a_package_is_refused() -> None:
+    with pytest.raises(ConfigError, match="is called as in 'std_msgs/msg/String'"):
+        Types().add_idl("struct T { int32 x; };", "Bad.idl")
+
+
+@given(st.text(alphabet='struct mdle{}<>;@()"=,/*#\n01:[]aT', max_size=60))
+@settings(deadline=None)
+def test_any_text_is_a_definition_or_a_config_error(text: str) -> None:
+    for whole in (text, f"module a {{ module msg {{ {text} }}; }};"):
+        with contextlib.suppress(ConfigError):  # any other error escapes
+            Types().add_idl(whole, "Any.idl")
+    for name in ("lab/msg/Any", "lab/action/Any"):
+        with contextlib.suppress(ConfigError):
+            Types().add_text(name, text, "Any")
+
+
+def test_installed_package_has_each_type_twice(tmp_path: Path) -> None:
+    folder = tmp_path / "lab_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Pair.msg").write_text("int32 a\nint32 b\n")
+    (folder / "Pair.idl").write_text("what rosidl made of it is not read again")
+    assert "lab_msgs/msg/Pair" in Types.standard(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["1st", "two words", "T-800"])
+def test_file_whose_name_is_no_type_is_named(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "lab_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / f"{name}.msg").write_text("int32 a")
+    with pytest.raises(ConfigError, match=rf"{name}\.msg: .*a ROS type is called as"):
+        Types.standard(tmp_path)
+
+
+def test_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "lab_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Bad.msg").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match=r"Bad\.msg: this cannot be read"):
+        Types.standard(tmp_path)
 
 
 def test_service_in_idl() -> None:

@@ -21,7 +21,8 @@ from typing_extensions import Buffer
 
 from vertebra.errors import DecodeError, EncodeError
 from vertebra.messages import Array
-from vertebra.ros2.definitions import Field, Types
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.interface_files import PRIMITIVES, Field
 
 HEADER: Final = b"\x00\x01\x00\x00"
 """XCDR1, little endian."""
@@ -29,6 +30,10 @@ HEADER_BYTES: Final = 4
 PADDING_BYTES: Final = 3
 """DDS samples are whole multiples of 4 bytes."""
 
+_UNIT_BYTES: Final = (4, 2)
+"""So long is a unit of wide text: rmw_cyclonedds writes 4 bytes, Fast CDR, behind Fast DDS and
+rmw_zenoh, 2. Both are read, for nothing but the length of the message tells them apart; written
+is the latter."""
 _LARGE_BYTES: Final = 1024
 _MISSING: Final = object()
 _BASES: Final[dict[str, tuple[str, str]]] = {
@@ -60,11 +65,12 @@ class _Fault(Exception):  # noqa: N818  - becomes a DecodeError or an EncodeErro
 class _Source:
     """Bytes that are read, from where."""
 
-    __slots__ = ("order", "position", "view")
+    __slots__ = ("order", "position", "unit_bytes", "view")
 
-    def __init__(self, view: memoryview, order: str) -> None:
+    def __init__(self, view: memoryview, order: str, unit_bytes: int) -> None:
         self.view = view
         self.order = order
+        self.unit_bytes = unit_bytes
         self.position = 0
 
     def take(self, size: int, alignment: int) -> int:
@@ -87,6 +93,12 @@ class _Source:
                 f"{len(self.view) - self.position} bytes behind it can hold"
             )
         return count
+
+    def end(self) -> None:
+        """Check that nothing but padding is left."""
+        left = len(self.view) - self.position
+        if left > PADDING_BYTES:
+            raise _Fault(f"{left} bytes follow the message")
 
 
 class _Sink:
@@ -146,15 +158,23 @@ class Cdr:
             raise DecodeError(
                 f"{type_name}: {bytes(view[:4]).hex(' ') or 'nothing'} is no header of XCDR1"
             )
-        source = _Source(view[HEADER_BYTES:], "<" if view[1] else ">")
         try:
-            record: dict[str, Any] = read(source)
-        except _Fault as fault:
-            raise DecodeError(fault.told(type_name)) from None
-        left = len(source.view) - source.position
-        if left > PADDING_BYTES:
-            raise DecodeError(f"{type_name}: {left} bytes follow the message")
-        return record
+            return _read_whole(read, view, _UNIT_BYTES[0])
+        except _Fault as first:
+            fault = first
+        if self._has_wide_text(type_name):
+            try:
+                return _read_whole(read, view, _UNIT_BYTES[1])
+            except _Fault as second:
+                fault = second
+        raise DecodeError(fault.told(type_name))
+
+    def _has_wide_text(self, type_name: str) -> bool:
+        return type_name == "wstring" or any(
+            self._has_wide_text(field.type)
+            for field in self._types.definition(type_name)
+            if field.type == "wstring" or field.type not in PRIMITIVES
+        )
 
     def encode(self, record: Mapping[str, Any], type_name: str) -> bytes:
         """Return the payload of a record; fields that it does not have are zero or empty.
@@ -269,6 +289,13 @@ class Cdr:
         if field.type in ("string", "wstring"):
             return _text_writer(field.max_text, wide=field.type == "wstring")
         return self._writer(field.type)
+
+
+def _read_whole(read: _Read, payload: memoryview, unit_bytes: int) -> dict[str, Any]:
+    source = _Source(payload[HEADER_BYTES:], "<" if payload[1] else ">", unit_bytes)
+    record: dict[str, Any] = read(source)
+    source.end()
+    return record
 
 
 def _record_reader(fields: tuple[tuple[str, _Read], ...]) -> _Read:
@@ -390,18 +417,20 @@ def _text_reader(max_text: int) -> _Read:
 
 
 def _wide_text_reader(max_text: int) -> _Read:
-    """Read a length in UTF-16 units and the units, without NUL, as rmw_cyclonedds does."""
+    """Read a length in UTF-16 units and the units, without NUL; see `_UNIT_BYTES`."""
 
     def read_text(source: _Source) -> str:
-        count = source.count(2)
-        start = source.take(2 * count, 1)
+        size = source.unit_bytes
+        count = source.count(size)
+        start = source.take(size * count, 1)
         if max_text and count > max_text:
             raise _Fault(f"{count} characters where at most {max_text} may be")
-        form = "utf-16-le" if source.order == "<" else "utf-16-be"
+        letter = "I" if size == struct.calcsize("I") else "H"
+        units = struct.unpack_from(f"{source.order}{count}{letter}", source.view, start)
         try:
-            return str(source.view[start : start + 2 * count], form)
-        except UnicodeDecodeError as error:
-            raise _Fault(f"the text at byte {start} is not UTF-16: {error.reason}") from None
+            return struct.pack(f"<{count}H", *units).decode("utf-16-le")
+        except (struct.error, UnicodeDecodeError):
+            raise _Fault(f"the text at byte {start} is not UTF-16") from None
 
     return read_text
 

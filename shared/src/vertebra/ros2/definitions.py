@@ -8,70 +8,33 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Self
 
-from msgspec import Struct
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
-from vertebra.errors import CodecNotFoundError, ConfigError
+from vertebra.errors import CodecNotFoundError, ConfigError, NameMappingError
+from vertebra.ros2.interface_files import (
+    PRIMITIVES,
+    Definition,
+    Field,
+    definition_of,
+    read_idl,
+    read_text,
+)
+from vertebra.ros2.names import check_type
 
 INTERFACES: Final = Path(__file__).parent / "interfaces"
 """Packages that the type store of rosbags does not hold, or not whole: fields, as of Jazzy.
 
-`audio_common_msgs` 0.4 (ros-drivers), `hri_msgs` 2.3 (ROS4HRI), and services.
+Services and actions of the standard packages, Nav2's navigation, `audio_common_msgs` 0.4
+(ros-drivers) and `hri_msgs` 2.3 (ROS4HRI).
 """
-
-PRIMITIVES: Final = {
-    "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8,
-    "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17, "wstring": 18,
-}  # fmt: skip
-"""Every primitive type and its number in a type description."""
 
 _NESTED: Final = 1
 _BOUNDED_TEXT: Final = 4
 _PLURAL: Final = {"one": 0, "array": 48, "bounded": 96, "sequence": 144}
-_FIELD: Final = re.compile(
-    r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(<=(?P<text>\d+))?(?P<many>\[(?P<most><=)?(?P<count>\d*)\])?"
-    r"\s+(?P<name>[A-Za-z][A-Za-z0-9_]*)(\s+(?P<default>[^=\s].*))?"
-)
-_CONSTANT: Final = re.compile(r"[A-Za-z0-9]+(<=\d+)?\s+[A-Za-z][A-Za-z0-9_]*\s*=.*")
-_QUOTED: Final = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'(?:[^'\\]|\\.)*'")
-_SECTION: Final = re.compile(r"^---.*$", re.MULTILINE)
-_ALIASES: Final = {"char": "uint8", "float": "float32", "double": "float64", "octet": "byte"}
-
-
-class Field(Struct, frozen=True):
-    """One member of a type.
-
-    Attributes:
-        name: What it is called.
-        type: A primitive (see `PRIMITIVES`) or the full name of another type.
-        plural: How many there are: one, exactly `count`, at most `count`, or any number.
-        count: Of an array or a bounded sequence.
-        max_text: Most characters of a bounded string; 0 for any number.
-    """
-
-    name: str
-    type: str
-    plural: Literal["one", "array", "bounded", "sequence"] = "one"
-    count: int = 0
-    max_text: int = 0
-
-    def __str__(self) -> str:
-        bound = f"<={self.max_text}" if self.max_text else ""
-        many = {
-            "one": "",
-            "array": f"[{self.count}]",
-            "bounded": f"[<={self.count}]",
-            "sequence": "[]",
-        }[self.plural]
-        return f"{self.type}{bound}{many} {self.name}"
-
-
-Definition = tuple[Field, ...]
 _EMPTY: Final[Definition] = (Field("structure_needs_at_least_one_member", "uint8"),)
 
 
@@ -96,7 +59,7 @@ class Types:
         types = cls()
         store = get_typestore(Stores.ROS2_JAZZY)
         for name, (_, members) in store.fielddefs.items():
-            types._add(name, _definition(members), "ROS 2 Jazzy")
+            types._add(name, definition_of(members, "ROS 2 Jazzy"), "ROS 2 Jazzy")
         jazzy = {name.partition("/")[0] for name in types}
         for folder in folders:
             types.add_folder(folder)
@@ -127,7 +90,7 @@ class Types:
     def add_folder(self, folder: Path, *, without: Container[str] = ()) -> None:
         """Add every definition in `<folder>/**/<package>/{msg,srv,action}/`.
 
-        Packages in `without` are left out.
+        Packages in `without` are left out, and so is an `.idl` beside the file it was made of.
 
         Raises:
             ConfigError: A file is wrong, or says something else than another one.
@@ -140,7 +103,9 @@ class Types:
                 continue
             if file.parent.parent.name in without:
                 continue
-            text = file.read_text(encoding="utf-8")
+            if file.suffix == ".idl" and file.with_suffix(f".{kind}").is_file():
+                continue
+            text = _read(file)
             if file.suffix == ".idl":
                 self.add_idl(text, str(file))
             else:
@@ -164,15 +129,8 @@ class Types:
             ConfigError: A line is wrong, or `name` is known with other fields.
         """
         package, kind, _ = name.split("/")
-        parts = _SECTION.split(text)
-        wanted = {"msg": 1, "srv": 2, "action": 3}[kind]
-        if len(parts) != wanted:
-            raise ConfigError(f"{where}: a .{kind} has {wanted} parts, not {len(parts)}")
-        line = 1
-        definitions = []
-        for part in parts:
-            definitions.append(_parse(package, part, where, line))
-            line += part.count("\n") + (not part.endswith("\n"))
+        parts = {"msg": 1, "srv": 2, "action": 3}[kind]
+        definitions = read_text(package, text, where, parts)
         if kind == "msg":
             self._add(name, definitions[0], where)
         elif kind == "srv":
@@ -187,12 +145,7 @@ class Types:
         Raises:
             ConfigError: It cannot be read, or a type is known with other fields.
         """
-        try:
-            found = get_types_from_idl(text)
-        except TypesysError as error:
-            reason = str(error).partition("\n")[0]
-            raise ConfigError(f"{where}: this IDL cannot be read: {reason}") from error
-        structs = {name: _definition(members) for name, (_, members) in found.items()}
+        structs = read_idl(text, where)
         for name, fields in structs.items():
             base, _, part = name.rpartition("_")
             if part == "Request" and f"{base}_Response" in structs:
@@ -204,6 +157,10 @@ class Types:
                 self._add(name, fields, where)
 
     def _add(self, name: str, fields: Definition, where: str) -> None:
+        try:
+            check_type(name)
+        except NameMappingError as error:
+            raise ConfigError(f"{where}: {error}") from error
         fields = fields or _EMPTY
         known = self._definitions.get(name)
         if known is not None and known != fields:
@@ -282,6 +239,13 @@ class Types:
         return {"type_name": name, "fields": fields}
 
 
+def _read(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: this cannot be read: {error}") from error
+
+
 def _describe_type(field: Field) -> dict[str, Any]:
     number = PRIMITIVES.get(field.type, _NESTED)
     return {
@@ -294,53 +258,3 @@ def _describe_type(field: Field) -> dict[str, Any]:
 
 def _words(fields: Definition) -> str:
     return "{" + ", ".join(map(str, fields)) + "}"
-
-
-def _parse(package: str, text: str, where: str, first_line: int) -> Definition:
-    fields: list[Field] = []
-    for number, line in enumerate(text.splitlines(), first_line):
-        bare = _QUOTED.sub("''", line).partition("#")[0].strip()
-        if not bare or _CONSTANT.fullmatch(bare):
-            continue
-        match = _FIELD.fullmatch(bare)
-        if match is None:
-            raise ConfigError(f"{where}:{number}: {line.strip()!r} is no field of a ROS type")
-        if match["name"] in {field.name for field in fields}:
-            raise ConfigError(f"{where}:{number}: there are two fields {match['name']!r}")
-        fields.append(_field(package, match.groupdict()))
-    return tuple(fields)
-
-
-def _field(package: str, parts: Mapping[str, str | None]) -> Field:
-    written = str(parts["type"])
-    written = _ALIASES.get(written, written)
-    if written in PRIMITIVES:
-        full = written
-    elif written == "Header":
-        full = "std_msgs/msg/Header"
-    else:
-        *folder, leaf = written.split("/")
-        full = f"{folder[0] if folder else package}/msg/{leaf}"
-    count = int(parts["count"] or 0)
-    plural: Literal["one", "array", "bounded", "sequence"] = "one"
-    if parts["many"]:
-        plural = "bounded" if parts["most"] else "array" if parts["count"] else "sequence"
-    return Field(str(parts["name"]), full, plural, count, int(parts["text"] or 0))
-
-
-def _definition(members: Any) -> Definition:
-    """Return the fields in rosbags' form: (name, (kind, description)) with kinds as numbers."""
-    return tuple(_of_rosbags(name, description) for name, description in members)
-
-
-def _of_rosbags(name: str, description: Any) -> Field:
-    kind, inner = description
-    plural: Literal["one", "array", "bounded", "sequence"] = "one"
-    count = 0
-    if kind in (3, 4):
-        (kind, inner), count = inner
-        plural = "array" if description[0] == 3 else "bounded" if count else "sequence"
-    if kind == 2:
-        return Field(name, inner, plural, count)
-    primitive, max_text = inner
-    return Field(name, _ALIASES.get(primitive, primitive), plural, count, max_text)

@@ -12,7 +12,8 @@ from cyclonedds.idl import types as idl
 from cyclonedds.util import duration
 
 from vertebra.errors import CodecNotFoundError
-from vertebra.ros2.definitions import Field, Types
+from vertebra.ros2.definitions import Types
+from vertebra.ros2.interface_files import Field
 from vertebra.ros2.names import DISCOVERY_TYPE, dds_type
 from vertebra.ros2.qos import Qos
 
