@@ -666,6 +666,30 @@ async def test_mjpeg_that_nobody_reads_any_more_ends(rig: Rig) -> None:
         await eventually(lambda: len(rig.bus.network.subscriptions) == before)
 
 
+async def test_events_bring_each_value_while_somebody_reads_them(rig: Rig) -> None:
+    before = len(rig.bus.network.subscriptions)
+    captured: list[int] = []
+    async with (
+        rig.streaming(lambda: rig.robot.stream(RATE_HZ)),
+        httpx.AsyncClient(base_url=rig.url, headers=BEARER) as http,
+    ):
+        async with (
+            asyncio.timeout(WITHIN_S),
+            http.stream("GET", "/api/robots/vizzy/head/joints/stream") as response,
+        ):
+            assert response.headers["content-type"].startswith("text/event-stream")
+            async for line in response.aiter_lines():
+                if line:
+                    captured.append(int(json.loads(line.removeprefix("data: "))["captured_ns"]))
+                if len(captured) == 15:
+                    break
+            assert len(rig.bus.network.subscriptions) == before + 1
+        await eventually(lambda: len(rig.bus.network.subscriptions) == before)
+    gaps = [later - earlier for earlier, later in pairwise(captured)]
+    assert all(gap > 0 for gap in gaps)
+    assert sorted(gaps)[len(gaps) // 2] < 2e9 / RATE_HZ
+
+
 async def test_it_stops_within_5_s_with_clients_of_every_kind(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
