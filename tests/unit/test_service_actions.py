@@ -13,9 +13,9 @@ import msgspec
 import pytest
 from pydantic_settings import SettingsConfigDict
 
-from vertebra.bus import Delivery, MemoryBus, MemoryNetwork
+from vertebra.bus import Closeable, Delivery, MemoryBus, MemoryNetwork, Reply, Request
 from vertebra.codec import CodecRegistry
-from vertebra.errors import CommandRefusedError, NotConnectedError, RemoteError
+from vertebra.errors import CommandRefusedError, DecodeError, NotConnectedError, RemoteError
 from vertebra.goals import MAX_ENDED
 from vertebra.messages import Native
 from vertebra.service import (
@@ -23,6 +23,7 @@ from vertebra.service import (
     Feedback,
     MessageReader,
     ServiceSettings,
+    actions,
     run_service,
     serve_action,
 )
@@ -229,3 +230,87 @@ async def test_service_that_stops_ends_its_goals() -> None:
         service.cancel()
         await asyncio.wait([service], timeout=2)
         assert service.cancelled()
+
+
+class Elsewhere:
+    """The call `lab/count/result` of a service that answers, waits, comes and goes as told."""
+
+    def __init__(self) -> None:
+        self.bus = MemoryBus(MemoryNetwork())
+        self.served: Closeable | None = None
+        self.asked = 0
+        self.ended = asyncio.Event()
+
+    def come(self, answer: bytes = b'{"status": "succeeded", "result": {"numbers": [1]}}') -> None:
+        async def result(request: Request) -> Reply:
+            assert json.loads(request.payload) == {"goal_id": GOAL}
+            self.asked += 1
+            await self.ended.wait()
+            return Reply(payload=answer, encoding="application/json")
+
+        self.served = self.bus.serve("lab/count/result", result)
+
+    def go(self) -> None:
+        assert self.served is not None
+        self.served.close()
+
+    async def outcome(self) -> actions.Outcome:
+        async with asyncio.timeout(5):
+            return await actions.outcome_of(self.bus, "lab/count", GOAL)
+
+
+GOAL = "7" * 32
+REACHED = actions.Outcome(status="succeeded", result={"numbers": [1]})
+
+
+@pytest.fixture
+async def elsewhere(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Elsewhere]:
+    monkeypatch.setattr(actions, "ASK_AGAIN_S", 0.05)
+    monkeypatch.setattr(actions, "LOOK_AGAIN_S", 0.02)
+    monkeypatch.setattr(actions, "GONE_AFTER_S", 0.3)
+    other = Elsewhere()
+    yield other
+    await other.bus.close()
+
+
+async def test_outcome_is_waited_for_longer_than_a_call(elsewhere: Elsewhere) -> None:
+    elsewhere.come()
+    waiting = asyncio.create_task(elsewhere.outcome())
+    await asyncio.sleep(0.4)
+    assert elsewhere.asked > 2
+    elsewhere.ended.set()
+    assert await waiting == REACHED
+
+
+async def test_service_may_be_away_for_a_moment(elsewhere: Elsewhere) -> None:
+    elsewhere.come()
+    waiting = asyncio.create_task(elsewhere.outcome())
+    await asyncio.sleep(0.1)
+    elsewhere.go()
+    await asyncio.sleep(0.1)
+    elsewhere.ended.set()
+    elsewhere.come()
+    assert await waiting == REACHED
+
+
+async def test_outcome_of_a_service_that_went_away_is_not_waited_for(
+    elsewhere: Elsewhere,
+) -> None:
+    with pytest.raises(NotConnectedError, match="nobody serves 'lab/count/result'"):
+        await elsewhere.outcome()
+
+
+@pytest.mark.parametrize(
+    "answer", [b"{}", b"[]", b'{"status": "executing", "result": {}}', b'{"status": "aborted"}']
+)
+async def test_answer_that_is_no_outcome_is_refused(elsewhere: Elsewhere, answer: bytes) -> None:
+    elsewhere.ended.set()
+    elsewhere.come(answer)
+    with pytest.raises(DecodeError, match="lab/count/result answered no outcome"):
+        await elsewhere.outcome()
+
+
+async def test_outcome_of_a_goal_that_a_new_service_does_not_know_is_an_error() -> None:
+    async with counting() as (caller, _):
+        with pytest.raises(RemoteError, match="lab/count does not know the goal"):
+            await actions.outcome_of(caller.bus, "lab/count", GOAL)
