@@ -270,6 +270,18 @@ async def test_goal_of_nobodys_knowledge_is_withdrawn(tmp_path: Path) -> None:
         await server.until("cancelled")
 
 
+async def test_adapter_may_stop_while_a_goal_is_sent(tmp_path: Path) -> None:
+    async with lab_with(tmp_path, INBOUND) as lab, peer(lab, "count_up", "deaf") as server:
+        await server.until("ready")
+        await lab.told(lambda text: "action /fibonacci" not in text)
+        sending = asyncio.create_task(lab.call("robot/count/goal", {"order": 3}))
+        await asyncio.sleep(0.5)
+        lab.service.cancel()
+        await asyncio.wait([lab.service])
+        with pytest.raises(RemoteError, match="its service stops"):
+            await sending
+
+
 async def test_result_is_waited_for_again_and_kept(tmp_path: Path) -> None:
     async with lab_with(tmp_path, INBOUND) as lab:
         async with peer(lab, "count_up") as server:

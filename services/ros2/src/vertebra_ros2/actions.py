@@ -67,6 +67,7 @@ class InboundAction:
         self._clients = clients
         self._outcomes: dict[str, asyncio.Task[dict[str, Any] | VertebraError]] = {}
         self._withdrawals: set[asyncio.Task[None]] = set()
+        self._closed = False
         self._feedback = _Feedback(kit, route)
         handlers = {"goal": self._goal, "result": self._result, "cancel": self._cancel}
         self._served = [
@@ -88,7 +89,8 @@ class InboundAction:
         try:
             answer = await self._ask("send_goal", document, request.timeout_s)
         except (DeadlineError, asyncio.CancelledError):
-            self._withdraw(goal_id)
+            if not self._closed:
+                self._withdraw(goal_id)
             raise
         if not answer["accepted"]:
             raise CommandRefusedError(f"the action server of {self._route.ros} refuses this goal")
@@ -175,6 +177,7 @@ class InboundAction:
 
     async def close(self) -> None:
         """End it; goals go on."""
+        self._closed = True
         for served in self._served:
             served.close()
         for task in (*self._outcomes.values(), *self._withdrawals):
