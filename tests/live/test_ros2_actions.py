@@ -270,14 +270,16 @@ async def test_goal_of_nobodys_knowledge_is_withdrawn(tmp_path: Path) -> None:
         await server.until("cancelled")
 
 
-async def test_adapter_may_stop_while_a_goal_is_sent(tmp_path: Path) -> None:
+async def test_goal_that_is_being_sent_is_withdrawn_when_the_adapter_stops(tmp_path: Path) -> None:
     async with lab_with(tmp_path, INBOUND) as lab, peer(lab, "count_up", "deaf") as server:
         await server.until("ready")
+        feedback = lab.read("robot/count/feedback", Native)
         await lab.told(lambda text: "action /fibonacci" not in text)
-        sending = asyncio.create_task(lab.call("robot/count/goal", {"order": 3}))
-        await asyncio.sleep(0.5)
+        sending = asyncio.create_task(lab.call("robot/count/goal", {"order": 100000}))
+        await first(feedback)
         lab.service.cancel()
         await asyncio.wait([lab.service])
+        await server.until("cancelled")
         with pytest.raises(RemoteError, match="its service stops"):
             await sending
 

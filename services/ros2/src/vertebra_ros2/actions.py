@@ -56,6 +56,7 @@ GONE_AFTER_S: Final = 10.0
 """So long a server may be away, and its goals are still waited for."""
 LOOK_AGAIN_S: Final = 1.0
 WITHDRAW_WITHIN_S: Final = 5.0
+STOP_WITHIN_S: Final = 1.0
 
 
 class InboundAction:
@@ -66,8 +67,8 @@ class InboundAction:
         self._route = route
         self._clients = clients
         self._outcomes: dict[str, asyncio.Task[dict[str, Any] | VertebraError]] = {}
+        self._unsure: set[str] = set()
         self._withdrawals: set[asyncio.Task[None]] = set()
-        self._closed = False
         self._feedback = _Feedback(kit, route)
         handlers = {"goal": self._goal, "result": self._result, "cancel": self._cancel}
         self._served = [
@@ -86,12 +87,15 @@ class InboundAction:
         """Send a goal with the fields in JSON; answer `{"goal_id": ...}` once it is accepted."""
         goal_id = new_goal_id()
         document = {"goal_id": uuid_of(goal_id), "goal": read_json(request.payload)}
+        self._unsure.add(goal_id)
         try:
             answer = await self._ask("send_goal", document, request.timeout_s)
         except (DeadlineError, asyncio.CancelledError):
-            if not self._closed:
-                self._withdraw(goal_id)
+            if goal_id in self._unsure:
+                self._withdraw_later(goal_id)
             raise
+        finally:
+            self._unsure.discard(goal_id)
         if not answer["accepted"]:
             raise CommandRefusedError(f"the action server of {self._route.ros} refuses this goal")
         self._follow(goal_id)
@@ -156,18 +160,19 @@ class InboundAction:
             raise CommandRefusedError(CANCEL_REFUSALS.get(code, f"cancelling failed: {code}"))
         return [goal_id_of(goal["goal_id"]) for goal in answer["goals_canceling"]]
 
-    def _withdraw(self, goal_id: str) -> None:
-        async def withdraw() -> None:
-            try:
-                cancelled = await self._ask_cancel(goal_id, WITHDRAW_WITHIN_S)
-            except (TransportError, CommandRefusedError) as error:
-                log.info("%s: withdrawing %s: %s", self._route.ros, goal_id, error)
-            else:
-                log.warning("%s: withdrew %s", self._route.ros, ", ".join(cancelled))
-
-        task = self._kit.context.tasks.create_task(withdraw())
+    def _withdraw_later(self, goal_id: str) -> None:
+        withdrawing = self._withdraw(goal_id, WITHDRAW_WITHIN_S)
+        task = self._kit.context.tasks.create_task(withdrawing)
         self._withdrawals.add(task)
         task.add_done_callback(self._withdrawals.discard)
+
+    async def _withdraw(self, goal_id: str, timeout_s: float) -> None:
+        try:
+            cancelled = await self._ask_cancel(goal_id, timeout_s)
+        except (TransportError, CommandRefusedError) as error:
+            log.info("%s: withdrawing %s: %s", self._route.ros, goal_id, error)
+        else:
+            log.warning("%s: withdrew %s", self._route.ros, ", ".join(cancelled))
 
     async def _ask(self, part: Part, document: Mapping[str, Any], timeout_s: float) -> Any:
         name = part_of(self._route.ros, part)
@@ -176,12 +181,14 @@ class InboundAction:
         return json.loads((await self._clients.call(name, "", asked)).payload)
 
     async def close(self) -> None:
-        """End it; goals go on."""
-        self._closed = True
+        """End it; goals go on, but for those of whose acceptance nobody has heard."""
+        unsure = tuple(self._unsure)
+        self._unsure.clear()
         for served in self._served:
             served.close()
         for task in (*self._outcomes.values(), *self._withdrawals):
             task.cancel()
+        await asyncio.gather(*(self._withdraw(goal_id, STOP_WITHIN_S) for goal_id in unsure))
         await self._feedback.close()
         self._kit.report(f"action {self._route.ros}", "")
 
