@@ -152,9 +152,6 @@ def test_wide_text_as_rmw_cyclonedds_writes_it() -> None:
     name = "example_interfaces/msg/WString"
     seen = bytes.fromhex("00010000 04000000 61000000 e9000000 3dd80000 00de0000")
     assert CDR.decode(seen, name) == {"data": "aé😀"}
-    for length in range(4, len(seen) - 8):
-        with pytest.raises(DecodeError):
-            CDR.decode(seen[:length], name)
     with pytest.raises(DecodeError, match="is not UTF-16"):
         CDR.decode(bytes.fromhex("00010000 02000000 00dc0000"), name)
 

@@ -11,6 +11,7 @@ before anything is made of them; damaged bytes are a `DecodeError` that names th
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import sys
 from array import array
@@ -30,10 +31,10 @@ HEADER_BYTES: Final = 4
 PADDING_BYTES: Final = 3
 """DDS samples are whole multiples of 4 bytes."""
 
-_UNIT_BYTES: Final = (4, 2)
-"""So long is a unit of wide text: rmw_cyclonedds writes 4 bytes, Fast CDR, behind Fast DDS and
-rmw_zenoh, 2. Both are read, for nothing but the length of the message tells them apart; written
-is the latter."""
+_UNIT_BYTES: Final = (2, 4)
+"""So long is a unit of wide text: Fast CDR, behind Fast DDS and rmw_zenoh, writes 2 bytes,
+rmw_cyclonedds 4. Both are read, though nothing but the length of a message tells them apart; the
+former is written."""
 _LARGE_BYTES: Final = 1024
 _MISSING: Final = object()
 _BASES: Final[dict[str, tuple[str, str]]] = {
@@ -160,14 +161,11 @@ class Cdr:
             )
         try:
             return _read_whole(read, view, _UNIT_BYTES[0])
-        except _Fault as first:
-            fault = first
-        if self._has_wide_text(type_name):
-            try:
-                return _read_whole(read, view, _UNIT_BYTES[1])
-            except _Fault as second:
-                fault = second
-        raise DecodeError(fault.told(type_name))
+        except _Fault as fault:
+            if self._has_wide_text(type_name):
+                with contextlib.suppress(_Fault):
+                    return _read_whole(read, view, _UNIT_BYTES[1])
+            raise DecodeError(fault.told(type_name)) from None
 
     def _has_wide_text(self, type_name: str) -> bool:
         return type_name == "wstring" or any(
