@@ -64,7 +64,7 @@ PURE: Final = {
     "shared/src/vertebra/codec/*.py", "shared/src/vertebra/goals.py", "shared/src/vertebra/keys.py",
     "shared/src/vertebra/messages/*.py",
     "shared/src/vertebra/ros2/actions.py",
-    "shared/src/vertebra/ros2/cdr.py", "shared/src/vertebra/ros2/definitions.py",
+    "shared/src/vertebra/ros2/cdr/*.py", "shared/src/vertebra/ros2/definitions.py",
     "shared/src/vertebra/ros2/graph.py", "shared/src/vertebra/ros2/humans.py",
     "shared/src/vertebra/ros2/interface_files.py", "shared/src/vertebra/ros2/mapping/*.py",
     "shared/src/vertebra/ros2/names.py", "shared/src/vertebra/ros2/qos.py",
