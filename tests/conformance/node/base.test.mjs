@@ -61,7 +61,8 @@ test("a pose and a scan become places on the floor", () => {
 
 test("ahead is up, left is left, and there is a way back from the screen", () => {
   const view = new View();
-  view.approach([[0, 0], [4, 0], [0, 2]]);
+  assert.equal(view.approach([[0, 0], [4, 0], [0, 2]]), true, "at once the first time");
+  assert.equal(view.approach([[0, 0], [9, 0], [0, 2]]), false, "then by and by");
   view.fit(400, 300);
   const [left, top] = view.toScreen(0, 0);
   assert.ok(view.toScreen(1, 0)[1] < top);

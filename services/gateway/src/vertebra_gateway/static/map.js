@@ -9,7 +9,8 @@ const MAX_CELLS = 20_000;
 const MAX_POSES = 64;
 const ROBOT_RADIUS_M = 0.25;
 const LEAST_ROBOT_PX = 9;
-const EASE = 0.15;
+const EASE = 0.1;
+const SETTLED_M = 0.01;
 const ALL_AROUND_RAD = 6;
 const DRAG_PX = 12;
 const TAP_MS = 250;
@@ -44,7 +45,11 @@ export class View {
   height = LEAST_VIEW_M;
   #begun = false;
 
-  /** Come nearer to showing all of `points`, at once the first time. @param {number[][]} points */
+  /**
+   * Come nearer to showing all of `points`, at once the first time; return whether it has arrived.
+   *
+   * @param {number[][]} points
+   */
   approach(points) {
     const xs = points.map(([x]) => x);
     const ys = points.map(([, y]) => y);
@@ -59,6 +64,7 @@ export class View {
     const ease = this.#begun ? EASE : 1;
     for (const [name, value] of Object.entries(wanted)) this[name] += ease * (value - this[name]);
     this.#begun = true;
+    return Object.entries(wanted).every(([name, value]) => Math.abs(value - this[name]) < SETTLED_M);
   }
 
   /** Fit into a picture. @param {number} width @param {number} height in pixels */
@@ -226,7 +232,7 @@ export class BaseMap {
     const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
     if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
     // While somebody aims the floor must not slide away below the pointer.
-    if (!this.#aim) view.approach(this.#interesting());
+    if (!this.#aim && !view.approach(this.#interesting())) this.redraw();
     view.fit(width, height);
     const style = getComputedStyle(canvas);
     const color = (name) => style.getPropertyValue(`--${name}`).trim();
