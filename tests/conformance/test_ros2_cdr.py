@@ -246,6 +246,13 @@ def test_damage_is_told(payload: bytes, told: str) -> None:
         CDR.decode(payload, "std_msgs/msg/String")
 
 
+def test_the_size_of_a_message_is_known_whatever_follows() -> None:
+    assert CDR.size(STRING, "std_msgs/msg/String") == len(STRING.rstrip(b"\0")) + 1
+    assert CDR.size(STRING + b"rest", "std_msgs/msg/String") == len(STRING.rstrip(b"\0")) + 1
+    with pytest.raises(DecodeError):
+        CDR.size(STRING[:-4], "std_msgs/msg/String")
+
+
 def test_the_other_serialiser_knows_the_same_types() -> None:
     assert int(Nodetype.NAME) == 2  # what `definitions` reads from rosbags' numbers
     assert set(JAZZY.fielddefs) <= set(TYPES)

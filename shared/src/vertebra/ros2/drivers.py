@@ -42,7 +42,7 @@ async def open_driver(
             raise ConfigError(_NO_ROS.format(error)) from error
         from vertebra.ros2.rclpy.driver import rclpy_driver  # noqa: PLC0415 - only if chosen
 
-        async with rclpy_driver(part) as transport:
+        async with rclpy_driver(part, types) as transport:
             yield transport
     else:
         from vertebra.ros2.rmw_zenoh.driver import rmw_zenoh_driver  # noqa: PLC0415

@@ -20,6 +20,7 @@ from vertebra.ros2.cdr.reading import (
     read_whole,
     record_reader,
     scalar_reader,
+    source_of,
     text_reader,
     wide_text_reader,
 )
@@ -54,11 +55,7 @@ class Cdr:
             CodecNotFoundError: The type is not known.
         """
         read = self._reader(type_name)
-        view = memoryview(payload).cast("B").toreadonly()
-        if len(view) < HEADER_BYTES or view[0] or view[1] > 1:
-            raise DecodeError(
-                f"{type_name}: {bytes(view[:4]).hex(' ') or 'nothing'} is no header of XCDR1"
-            )
+        view = _checked(payload, type_name)
         try:
             return read_whole(read, view, UNIT_BYTES[0])
         except Fault as fault:
@@ -66,6 +63,26 @@ class Cdr:
                 with contextlib.suppress(Fault):
                     return read_whole(read, view, UNIT_BYTES[1])
             raise DecodeError(fault.told(type_name)) from None
+
+    def size(self, payload: Buffer, type_name: str) -> int:
+        """Return how many bytes of a payload are the message, whatever follows it.
+
+        With wide text that is all: how long it is nothing but the length of the message tells.
+
+        Raises:
+            DecodeError: The payload is damaged, or of another type.
+            CodecNotFoundError: The type is not known.
+        """
+        read = self._reader(type_name)
+        view = _checked(payload, type_name)
+        if self._has_wide_text(type_name):
+            return len(view)
+        source = source_of(view, UNIT_BYTES[0])
+        try:
+            read(source)
+        except Fault as fault:
+            raise DecodeError(fault.told(type_name)) from None
+        return HEADER_BYTES + source.position
 
     def _has_wide_text(self, type_name: str) -> bool:
         return type_name == "wstring" or any(
@@ -187,3 +204,12 @@ class Cdr:
         if field.type in ("string", "wstring"):
             return text_writer(field.max_text, wide=field.type == "wstring")
         return self._writer(field.type)
+
+
+def _checked(payload: Buffer, type_name: str) -> memoryview:
+    view = memoryview(payload).cast("B").toreadonly()
+    if len(view) < HEADER_BYTES or view[0] or view[1] > 1:
+        raise DecodeError(
+            f"{type_name}: {bytes(view[:4]).hex(' ') or 'nothing'} is no header of XCDR1"
+        )
+    return view

@@ -59,9 +59,14 @@ class Source:
 Read = Callable[[Source], Any]
 
 
+def source_of(payload: memoryview, unit_bytes: int) -> Source:
+    """Return what is behind the header of a payload."""
+    return Source(payload[HEADER_BYTES:], "<" if payload[1] else ">", unit_bytes)
+
+
 def read_whole(read: Read, payload: memoryview, unit_bytes: int) -> dict[str, Any]:
     """Return the record in a payload; raise `Fault`."""
-    source = Source(payload[HEADER_BYTES:], "<" if payload[1] else ">", unit_bytes)
+    source = source_of(payload, unit_bytes)
     record: dict[str, Any] = read(source)
     source.end()
     return record

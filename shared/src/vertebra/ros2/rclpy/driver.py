@@ -12,6 +12,8 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 
 from vertebra.errors import ConfigError, DeadlineError, NotConnectedError
+from vertebra.ros2.cdr import Cdr
+from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import OnPayload, OnRequest, Participation
 from vertebra.ros2.graph import Graph
 from vertebra.ros2.names import check_name
@@ -28,7 +30,8 @@ _LOOK_EVERY_S: Final = 0.01
 class RclpyTransport:
     """One node; see `driver.Transport`. Open it with `rclpy_driver`."""
 
-    def __init__(self, ros: RosNode) -> None:
+    def __init__(self, ros: RosNode, types: Types) -> None:
+        self._cdr = Cdr(types)
         self.graph = Graph()
         self._listeners: list[Callable[[], None]] = []
         self._ros = ros
@@ -62,11 +65,11 @@ class RclpyTransport:
 
     def client(self, name: str, type_name: str) -> ServiceClient:
         """Be a client of a service; `type_name` such as `std_srvs/srv/Trigger`."""
-        return ServiceClient(self._ros, name, type_name)
+        return ServiceClient(self._ros, self._cdr, name, type_name)
 
     def server(self, name: str, type_name: str, on_request: OnRequest) -> ServiceServer:
         """Offer a service."""
-        return ServiceServer(self._ros, name, type_name, on_request)
+        return ServiceServer(self._ros, self._cdr, name, type_name, on_request)
 
     async def close(self) -> None:
         """Leave the graph."""
@@ -186,7 +189,7 @@ class TopicWriter:
 
 
 @asynccontextmanager
-async def rclpy_driver(part: Participation) -> AsyncIterator[RclpyTransport]:
+async def rclpy_driver(part: Participation, types: Types) -> AsyncIterator[RclpyTransport]:
     """Be a node while the block runs; on which middleware RMW_IMPLEMENTATION says.
 
     Raises:
@@ -199,7 +202,7 @@ async def rclpy_driver(part: Participation) -> AsyncIterator[RclpyTransport]:
             f"the driver rclpy does not run on {middleware}; choose the driver rmw_zenoh, or set "
             "RMW_IMPLEMENTATION to rmw_cyclonedds_cpp or rmw_fastrtps_cpp"
         )
-    transport = RclpyTransport(RosNode(*await asyncio.to_thread(open_node, part)))
+    transport = RclpyTransport(RosNode(*await asyncio.to_thread(open_node, part)), types)
     try:
         yield transport
     finally:

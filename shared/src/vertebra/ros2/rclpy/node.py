@@ -12,7 +12,6 @@ import logging
 import os
 import threading
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, Final
@@ -24,7 +23,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from vertebra.errors import CodecError, ConfigError, TransportError
 from vertebra.ros2.driver import Participation
-from vertebra.ros2.rclpy.classes import class_of
 
 log = logging.getLogger(__name__)
 
@@ -176,13 +174,16 @@ def open_node(part: Participation) -> tuple[Any, bytes]:
 
 
 def _gid_of(node: Any) -> bytes:
-    """Return a gid of ours: rclpy tells none, but what it tells of a topic only we have is ours."""
-    name = f"/_vertebra_{uuid.uuid4().hex}"
-    publisher = node.create_publisher(class_of("std_msgs/msg/Empty"), name, 1)
-    while not (infos := node.get_publishers_info_by_topic(name)):
+    """Return a gid of ours. rclpy tells none, but every node writes this topic.
+
+    Our own writer is known before those of others, should one of them have a node of our name.
+    """
+    ours = (node.get_name(), node.get_namespace())
+    while True:
+        for info in node.get_publishers_info_by_topic("/parameter_events"):
+            if (info.node_name, info.node_namespace) == ours:
+                return bytes(info.endpoint_gid)
         time.sleep(_LOOK_EVERY_S)  # also what is our own has to be discovered
-    node.destroy_publisher(publisher)
-    return bytes(infos[0].endpoint_gid)
 
 
 @contextlib.contextmanager

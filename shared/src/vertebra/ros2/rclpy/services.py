@@ -11,11 +11,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from vertebra.errors import (
     CodecError,
+    CodecNotFoundError,
     DeadlineError,
     EncodeError,
     NotConnectedError,
     TransportError,
 )
+from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.driver import OnRequest
 from vertebra.ros2.names import check_name
 from vertebra.ros2.qos import Qos
@@ -37,8 +39,10 @@ _QOS: Final = profile_of(Qos(depth=MAX_REQUESTS))
 class ServiceClient:
     """See `driver.Client`."""
 
-    def __init__(self, ros: RosNode, name: str, type_name: str) -> None:
+    def __init__(self, ros: RosNode, cdr: Cdr, name: str, type_name: str) -> None:
         self._ros = ros
+        self._cdr = cdr
+        self._reply = f"{type_name}_Response"
         self._name = check_name(name)
         self._type = class_of(type_name)
         self._turn = asyncio.Semaphore(MAX_CALLS)
@@ -88,7 +92,7 @@ class ServiceClient:
         asked.add_done_callback(lambda done: inbox.put(serialize_message(done.result())))
         self._waiting.add(answer)
         try:
-            return await answer
+            return _whole(self._cdr, await answer, self._reply)
         finally:
             self._waiting.discard(answer)
             self._client.remove_pending_request(asked)
@@ -107,8 +111,12 @@ class ServiceClient:
 class ServiceServer:
     """Offers a service; each request is a task of its own."""
 
-    def __init__(self, ros: RosNode, name: str, type_name: str, on_request: OnRequest) -> None:
+    def __init__(
+        self, ros: RosNode, cdr: Cdr, name: str, type_name: str, on_request: OnRequest
+    ) -> None:
         self._ros = ros
+        self._cdr = cdr
+        self._request = f"{type_name}_Request"
         self._name = check_name(name)
         self._type = class_of(type_name)
         self._on_request = on_request
@@ -140,10 +148,11 @@ class ServiceServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _answer(self, request: Any, caller: Any) -> None:
-        reply = await self._on_request(serialize_message(request))
-        if reply is None or self._closed:
-            return
         try:
+            asked = _whole(self._cdr, serialize_message(request), self._request)
+            reply = await self._on_request(asked)
+            if reply is None or self._closed:
+                return
             with refusals("it"):
                 self._send(_decode(reply, self._type.Response), caller)
         except (TransportError, CodecError) as error:
@@ -157,6 +166,14 @@ class ServiceServer:
         for task in self._tasks:
             task.cancel()
         self._ros.in_thread(lambda: self._ros.node.destroy_service(self._service))
+
+
+def _whole(cdr: Cdr, payload: bytes, type_name: str) -> bytes:
+    """Return a payload without what rmw_fastrtps leaves behind it: it tells an estimated size."""
+    try:
+        return payload[: cdr.size(payload, type_name)]
+    except CodecNotFoundError:  # then nobody here looks into it
+        return payload
 
 
 def _decode(payload: bytes, wanted: Any) -> Any:
