@@ -351,6 +351,20 @@ class GetParametersReply(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParamet
 
 
 @dataclass
+class AudioData(IdlStruct, typename="audio_common_msgs.msg.dds_.AudioData_"):
+    data: sequence[byte]
+
+
+@dataclass
+class AudioInfo(IdlStruct, typename="audio_common_msgs.msg.dds_.AudioInfo_"):
+    channels: byte
+    sample_rate: uint32
+    sample_format: str
+    bitrate: uint32
+    coding_format: str
+
+
+@dataclass
 class IdsList(IdlStruct, typename="hri_msgs.msg.dds_.IdsList_"):
     header: Header
     ids: sequence[str]
@@ -916,6 +930,20 @@ def ask_sum(peer: Peer, count: int, *, as_fast_dds: bool = False) -> None:
     peer.done.wait()
 
 
+def hear(peer: Peer) -> None:
+    """Capture sound as audio_capture does, and hear what others make of it."""
+    writer = peer.write("rt/audio", AudioData, qos())
+    sound = peer.read("rt/fleet_audio", AudioData, qos())
+    info = peer.read("rt/fleet_audio_info", AudioInfo, qos())
+    say("ready")
+    while not peer.done.wait(0.02):
+        writer.write(AudioData(list(range(8))))
+        for sample in peer.take(sound):
+            say("sound", list(sample.data))
+        for sample in peer.take(info):
+            say("info", dataclasses.asdict(sample))
+
+
 def know_humans(peer: Peer, wanted: Sequence[str]) -> None:
     """Follow faces as libhri does: what is tracked decides which topics are read."""
     system_default = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile)
@@ -1022,6 +1050,8 @@ def main() -> None:
         count_up(peer, deaf="deaf" in arguments)
     elif role == "act":
         act(peer, arguments[0], int(arguments[1]), arguments[2] if arguments[2:] else "")
+    elif role == "hear":
+        hear(peer)
     elif role == "know_humans":
         know_humans(peer, arguments)
     elif role == "watch":

@@ -14,7 +14,7 @@ import pytest
 
 from vertebra.bus import Delivery, MemoryBus, MemoryNetwork, Reply, Request
 from vertebra.errors import ConfigError, RemoteError
-from vertebra.messages import Image, JointState, Native, Text
+from vertebra.messages import Array, AudioChunk, Image, JointState, Native, Text
 from vertebra.ros2.cdr import Cdr
 from vertebra.ros2.definitions import Types
 from vertebra.service import MessagePublisher, run_service
@@ -58,6 +58,37 @@ async def test_topic_arrives_with_its_origin(lab: Lab) -> None:
     assert received.header.origin == f"ros2:{lab.domain_id}:/chatter"
     assert received.header.hops == 1
     assert abs(time.time_ns() - received.header.captured_ns) < 10e9
+
+
+SOUNDS = """
+topics:
+  - {ros: /audio, key: robot/ear, sound: {rate_hz: 16000, channels: 2}}
+  - {ros: /fleet_audio, key: robot/ear/again, type: audio_common_msgs/msg/AudioData,
+     direction: outbound}
+  - {ros: /fleet_audio_info, key: robot/ear/again, type: audio_common_msgs/msg/AudioInfo,
+     direction: outbound}
+"""
+
+
+async def test_sound_goes_both_ways(tmp_path: Path) -> None:
+    routes = tmp_path / "routes.yaml"
+    await asyncio.to_thread(routes.write_text, SOUNDS)
+    async with adapter(MemoryNetwork(), next(DOMAINS), routes) as lab, peer(lab, "hear") as node:
+        chunk = (await first(lab.read("robot/ear", AudioChunk))).message
+        assert chunk == AudioChunk(samples=Array(bytes(range(8)), "<i2", (2, 2)), rate_hz=16000)
+        publisher = lab.publisher("robot/ear/again")
+
+        async def speak() -> None:
+            while True:
+                publisher.publish(chunk, captured_ns=time.time_ns())
+                await asyncio.sleep(0.02)
+
+        speaking = asyncio.create_task(speak())
+        assert await node.until("sound") == ["sound", list(range(8))]
+        _, info = await node.until("info")
+        assert (info["channels"], info["sample_rate"], info["sample_format"]) == (2, 16000, "S16LE")
+        speaking.cancel()
+        await asyncio.wait([speaking])
 
 
 async def test_topic_is_left_alone_until_someone_subscribes(lab: Lab) -> None:

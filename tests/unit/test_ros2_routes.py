@@ -79,6 +79,15 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
         read_routes(tmp_path / "nowhere.yaml", KINDS)
 
 
+def test_key_may_go_out_to_several_topics() -> None:
+    text = """
+topics:
+  - {ros: /audio, key: ear, type: audio_common_msgs/msg/AudioData, direction: outbound}
+  - {ros: /audio_info, key: ear, type: audio_common_msgs/msg/AudioInfo, direction: outbound}
+"""
+    assert len(parse_routes(text, "routes.yaml", KINDS)) == 2
+
+
 def test_topic_may_go_both_ways() -> None:
     text = """
 topics:
