@@ -3,6 +3,7 @@
 The folder below tests/ is the lane of a test and its marker. `VERTEBRA_REQUIRE=live,e2e` turns a
 skip in these lanes into a failure; without it, what was skipped is listed at the end with the
 reason, which says how to enable it. Skip with `pytest.skip("<what is missing>; <what mends it>")`.
+Tests marked `installed_ros` may be skipped all the same: no package registry has a ROS 2.
 """
 
 from __future__ import annotations
@@ -77,7 +78,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, Any]:
     report = yield
-    if report.skipped and not hasattr(report, "wasxfail"):
+    may_skip = hasattr(report, "wasxfail") or item.get_closest_marker("installed_ros")
+    if report.skipped and not may_skip:
         _refuse_skip(report, item.path)
     return report
 

@@ -150,6 +150,15 @@ def test_a_skip_in_a_required_lane_is_a_failure(workspace: Path) -> None:
     assert "1 failed, 1 xfailed, 1 error" in done.stdout
 
 
+def test_only_what_needs_an_installed_ros_may_be_skipped_in_a_required_lane(
+    workspace: Path,
+) -> None:
+    test = "import pytest\n@pytest.mark.installed_ros\ndef test_it():\n    pytest.skip('no ROS')\n"
+    done = run(workspace, "live", test, require="live")
+    assert done.returncode == 0, done.stdout
+    assert "1 skipped" in done.stdout
+
+
 def test_a_file_that_skips_itself_in_a_required_lane_is_a_failure(workspace: Path) -> None:
     test = "import pytest\npytest.skip('no robot; buy one', allow_module_level=True)\n"
     done = run(workspace, "live", test, "tests", require="live")

@@ -26,7 +26,7 @@ from vertebra.testing.bus_suite import eventually
 
 from .ros2_lab import ON_LOOPBACK, Lab, adapter, first
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.installed_ros]
 
 DOMAINS = itertools.cycle(random.sample(range(10, 20), 10))
 PROGRAMS = {
