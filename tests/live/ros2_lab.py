@@ -22,7 +22,8 @@ from vertebra.service import MessagePublisher, MessageReader, Received, run_serv
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
 
-PEER = Path(__file__).with_name("ros2_peer.py")
+ROOT = Path(__file__).parents[2]
+PEER = "tests.live.ros2_peer"
 DOMAINS = itertools.cycle(random.sample(range(10, 90), 80))
 ON_LOOPBACK = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
@@ -130,11 +131,11 @@ def peer(place: Lab | Participation, *role: str) -> AbstractAsyncContextManager[
 
 @asynccontextmanager
 async def running(
-    program: Path, *arguments: str, environment: dict[str, str]
+    program: str, *arguments: str, environment: dict[str, str]
 ) -> AsyncIterator[Peer]:
-    """Run a program that prints lines of JSON and ends with its input."""
+    """Run a module that prints lines of JSON and ends with its input."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, str(program), *arguments,
+        sys.executable, "-m", program, *arguments, cwd=ROOT,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
         env={**os.environ, **environment},
     )  # fmt: skip

@@ -1,8 +1,8 @@
 """The other participant: ROS nodes as rmw_cyclonedds puts them on the wire, in plain `cyclonedds`.
 
-It has no `from __future__ import annotations`: the library reads the annotations of its types.
 It shares no code with the adapter: types are written by hand, samples are made by the library.
-`python ros2_peer.py ROLE [ARGUMENT]` prints JSON lines, first "ready", and ends with its input.
+`python -m tests.live.ros2_peer ROLE [ARGUMENT]` prints JSON lines, first "ready", and ends with its
+input.
 """
 
 import dataclasses
@@ -12,9 +12,8 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -23,481 +22,66 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import byte, float32, float64, int32, int64, uint32, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-if TYPE_CHECKING:
-    sequence = Sequence
-    Gids = Sequence[int]
-    HumbleGids = Sequence[int]
-    Points = Sequence["Point"]
-    Units = Sequence[float]
-else:
-    from cyclonedds.idl.types import array, sequence
-
-    Gids = array[byte, 16]
-    HumbleGids = array[byte, 24]
-    Points = array["Point", 70]
-    Units = array[float32, 99]
+from .ros2_types import (
+    FACE_PARTS,
+    AddReply,
+    AddRequest,
+    AudioData,
+    AudioInfo,
+    CancelReply,
+    CancelRequest,
+    Feedback,
+    FeedbackMessage,
+    GetParametersReply,
+    GetParametersRequest,
+    GetResultReply,
+    GetResultRequest,
+    Gid,
+    Goal,
+    GoalId,
+    GoalInfo,
+    GoalStatusArray,
+    Header,
+    HumbleGid,
+    HumbleNode,
+    HumbleNodes,
+    IdsList,
+    Image,
+    JointState,
+    ListedParameters,
+    ListReply,
+    ListRequest,
+    Node,
+    Nodes,
+    Parameter,
+    ParameterValue,
+    RawImage,
+    RawNodes,
+    RawStrange,
+    Result,
+    SendGoalReply,
+    SendGoalRequest,
+    SetEachReply,
+    SetEachRequest,
+    SetReply,
+    SetRequest,
+    SetResult,
+    Strange,
+    String,
+    Time,
+    Transforms,
+    TypesReply,
+    TypesRequest,
+)
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
 NODES_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
-
-
-@dataclass
-class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
-    data: str
-
-
-@dataclass
-class Strange(IdlStruct, typename="lab_msgs.msg.dds_.Strange_"):
-    left: int32
-    right: int32
-
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-class Image(IdlStruct, typename="sensor_msgs.msg.dds_.Image_"):
-    header: Header
-    height: uint32
-    width: uint32
-    encoding: str
-    is_bigendian: byte
-    step: uint32
-    data: sequence[byte]
-
-
-@dataclass
-class AddRequest(IdlStruct, typename="example_interfaces.srv.dds_.AddTwoInts_Request_"):
-    guid: uint64
-    seq: int64
-    a: int64
-    b: int64
-
-
-@dataclass
-class AddReply(IdlStruct, typename="example_interfaces.srv.dds_.AddTwoInts_Response_"):
-    guid: uint64
-    seq: int64
-    sum: int64
-
-
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
-    data: Gids
-
-
-@dataclass
-class Node(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
-    node_namespace: str
-    node_name: str
-    reader_gid_seq: sequence[Gid]
-    writer_gid_seq: sequence[Gid]
-
-
-@dataclass
-class Nodes(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
-    gid: Gid
-    node_entities_info_seq: sequence[Node]
-
-
-@dataclass
-class NodesName(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
-    """Nothing but a name, which is what ROS nodes announce of a type."""
-
-    unknown: byte
-
-
-@dataclass
-class HumbleGid(IdlStruct):
-    data: HumbleGids
-
-
-@dataclass
-class HumbleNode(IdlStruct):
-    node_namespace: str
-    node_name: str
-    reader_gid_seq: sequence[HumbleGid]
-    writer_gid_seq: sequence[HumbleGid]
-
-
-@dataclass
-class HumbleNodes(IdlStruct):
-    gid: HumbleGid
-    node_entities_info_seq: sequence[HumbleNode]
-
-
-ACTION = "example_interfaces.action.dds_.Fibonacci_"
-
-
-@dataclass
-class GoalId(IdlStruct, typename="unique_identifier_msgs.msg.dds_.UUID_"):
-    uuid: Gids
-
-
-@dataclass
-class Goal(IdlStruct, typename=f"{ACTION}Goal_"):
-    order: int32
-
-
-@dataclass
-class Result(IdlStruct, typename=f"{ACTION}Result_"):
-    sequence: sequence[int32]
-
-
-@dataclass
-class Feedback(IdlStruct, typename=f"{ACTION}Feedback_"):
-    sequence: sequence[int32]
-
-
-@dataclass
-class SendGoalRequest(IdlStruct, typename=f"{ACTION}SendGoal_Request_"):
-    guid: uint64
-    seq: int64
-    goal_id: GoalId
-    goal: Goal
-
-
-@dataclass
-class SendGoalReply(IdlStruct, typename=f"{ACTION}SendGoal_Response_"):
-    guid: uint64
-    seq: int64
-    accepted: bool
-    stamp: Time
-
-
-@dataclass
-class GetResultRequest(IdlStruct, typename=f"{ACTION}GetResult_Request_"):
-    guid: uint64
-    seq: int64
-    goal_id: GoalId
-
-
-@dataclass
-class GetResultReply(IdlStruct, typename=f"{ACTION}GetResult_Response_"):
-    guid: uint64
-    seq: int64
-    status: byte
-    result: Result
-
-
-@dataclass
-class FeedbackMessage(IdlStruct, typename=f"{ACTION}FeedbackMessage_"):
-    goal_id: GoalId
-    feedback: Feedback
-
-
-@dataclass
-class GoalInfo(IdlStruct, typename="action_msgs.msg.dds_.GoalInfo_"):
-    goal_id: GoalId
-    stamp: Time
-
-
-@dataclass
-class GoalStatus(IdlStruct, typename="action_msgs.msg.dds_.GoalStatus_"):
-    goal_info: GoalInfo
-    status: byte
-
-
-@dataclass
-class GoalStatusArray(IdlStruct, typename="action_msgs.msg.dds_.GoalStatusArray_"):
-    status_list: sequence[GoalStatus]
-
-
-@dataclass
-class CancelRequest(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Request_"):
-    guid: uint64
-    seq: int64
-    goal_info: GoalInfo
-
-
-@dataclass
-class CancelReply(IdlStruct, typename="action_msgs.srv.dds_.CancelGoal_Response_"):
-    guid: uint64
-    seq: int64
-    return_code: byte
-    goals_canceling: sequence[GoalInfo]
-
-
-@dataclass
-class ParameterValue(IdlStruct, typename="rcl_interfaces.msg.dds_.ParameterValue_"):
-    type: byte
-    bool_value: bool
-    integer_value: int64
-    double_value: float64
-    string_value: str
-    byte_array_value: sequence[byte]
-    bool_array_value: sequence[bool]
-    integer_array_value: sequence[int64]
-    double_array_value: sequence[float64]
-    string_array_value: sequence[str]
-
-
-PARAMETERS = "rcl_interfaces.srv.dds_."
-
-
-@dataclass
-class Parameter(IdlStruct, typename="rcl_interfaces.msg.dds_.Parameter_"):
-    name: str
-    value: ParameterValue
-
-
-@dataclass
-class ListedParameters(IdlStruct, typename="rcl_interfaces.msg.dds_.ListParametersResult_"):
-    names: sequence[str]
-    prefixes: sequence[str]
-
-
-@dataclass
-class SetResult(IdlStruct, typename="rcl_interfaces.msg.dds_.SetParametersResult_"):
-    successful: bool
-    reason: str
-
-
-@dataclass
-class ListRequest(IdlStruct, typename=f"{PARAMETERS}ListParameters_Request_"):
-    guid: uint64
-    seq: int64
-    prefixes: sequence[str]
-    depth: uint64
-
-
-@dataclass
-class ListReply(IdlStruct, typename=f"{PARAMETERS}ListParameters_Response_"):
-    guid: uint64
-    seq: int64
-    result: ListedParameters
-
-
-@dataclass
-class TypesRequest(IdlStruct, typename=f"{PARAMETERS}GetParameterTypes_Request_"):
-    guid: uint64
-    seq: int64
-    names: sequence[str]
-
-
-@dataclass
-class TypesReply(IdlStruct, typename=f"{PARAMETERS}GetParameterTypes_Response_"):
-    guid: uint64
-    seq: int64
-    types: sequence[byte]
-
-
-@dataclass
-class SetRequest(IdlStruct, typename=f"{PARAMETERS}SetParametersAtomically_Request_"):
-    guid: uint64
-    seq: int64
-    parameters: sequence[Parameter]
-
-
-@dataclass
-class SetReply(IdlStruct, typename=f"{PARAMETERS}SetParametersAtomically_Response_"):
-    guid: uint64
-    seq: int64
-    result: SetResult
-
-
-@dataclass
-class SetEachRequest(IdlStruct, typename=f"{PARAMETERS}SetParameters_Request_"):
-    guid: uint64
-    seq: int64
-    parameters: sequence[Parameter]
-
-
-@dataclass
-class SetEachReply(IdlStruct, typename=f"{PARAMETERS}SetParameters_Response_"):
-    guid: uint64
-    seq: int64
-    results: sequence[SetResult]
-
-
-@dataclass
-class GetParametersRequest(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Request_"):
-    guid: uint64
-    seq: int64
-    names: sequence[str]
-
-
-@dataclass
-class GetParametersReply(IdlStruct, typename="rcl_interfaces.srv.dds_.GetParameters_Response_"):
-    guid: uint64
-    seq: int64
-    values: sequence[ParameterValue]
-
-
-@dataclass
-class AudioData(IdlStruct, typename="audio_common_msgs.msg.dds_.AudioData_"):
-    data: sequence[byte]
-
-
-@dataclass
-class AudioInfo(IdlStruct, typename="audio_common_msgs.msg.dds_.AudioInfo_"):
-    channels: byte
-    sample_rate: uint32
-    sample_format: str
-    bitrate: uint32
-    coding_format: str
-
-
-@dataclass
-class IdsList(IdlStruct, typename="hri_msgs.msg.dds_.IdsList_"):
-    header: Header
-    ids: sequence[str]
-
-
-@dataclass
-class Region(IdlStruct, typename="hri_msgs.msg.dds_.NormalizedRegionOfInterest2D_"):
-    header: Header
-    xmin: float32
-    ymin: float32
-    xmax: float32
-    ymax: float32
-    c: float32
-
-
-@dataclass
-class Point(IdlStruct, typename="hri_msgs.msg.dds_.NormalizedPointOfInterest2D_"):
-    x: float32
-    y: float32
-    c: float32
-
-
-@dataclass
-class Landmarks(IdlStruct, typename="hri_msgs.msg.dds_.FacialLandmarks_"):
-    header: Header
-    landmarks: Points
-    height: uint32
-    width: uint32
-
-
-@dataclass
-class Expression(IdlStruct, typename="hri_msgs.msg.dds_.Expression_"):
-    header: Header
-    expression: str
-    valence: float32
-    arousal: float32
-    confidence: float32
-
-
-@dataclass
-class ActionUnits(IdlStruct, typename="hri_msgs.msg.dds_.FacialActionUnits_"):
-    header: Header
-    intensity: Units
-    confidence: Units
-
-
-@dataclass
-class Vector(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Rotation(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    translation: Vector
-    rotation: Rotation
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class Transforms(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
-    transforms: sequence[TransformStamped]
-
-
-FACE_PARTS = {
-    "roi": Region, "landmarks": Landmarks, "cropped": Image, "expression": Expression,
-    "facs": ActionUnits,
-}  # fmt: skip
-
-
-class Raw:
-    """A sample as its bytes."""
-
-    def __init__(self, payload: bytes) -> None:
-        self.payload = payload
-
-    def serialize(self, **_: Any) -> bytes:
-        return self.payload
-
-
-class RawNodes(Raw):
-    """What is said of nodes, in the form of any release."""
-
-    __idl__ = NodesName.__idl__
-    __idl_typename__ = NodesName.__idl_typename__
-
-    @classmethod
-    def deserialize(cls, payload: bytes) -> Nodes:
-        return Nodes.deserialize(payload)
-
-    deserialize_key = deserialize
-
-
-class RawImage(Raw):
-    """The library would go over the pixels one by one."""
-
-    __idl__ = Image.__idl__
-    __idl_typename__ = Image.__idl_typename__
-
-    @classmethod
-    def deserialize(cls, payload: bytes) -> "RawImage":
-        return cls(payload)
-
-    deserialize_key = deserialize
-
-
-@dataclass
-class Name(IdlStruct, typename="lab_msgs.msg.dds_.Strange_"):
-    """Nothing but a name, which is what ROS nodes announce of a type."""
-
-    unknown: byte
-
-
-class RawStrange(Raw):
-    """What a ROS node sends of a type that is its own."""
-
-    __idl__ = Name.__idl__
-    __idl_typename__ = Name.__idl_typename__
 
 
 def qos(said: str = "", *, reliable: bool = True, latched: bool = False, depth: int = 10) -> Qos:
@@ -796,7 +380,7 @@ class ActionClient:
         return bool(heard)
 
 
-def act(peer: Peer, action: str, order: int, then: str) -> None:
+def act(peer: Peer, action: str, order: int, then: str = "") -> None:
     """Send a goal and follow it, or cancel it after the first feedback."""
     client = ActionClient(peer, action)
     say("ready")
@@ -1001,64 +585,36 @@ def watch(peer: Peer) -> None:
                 say("endpoint", kind, sample.topic_name, sample.type_name, gid, text)
 
 
-def main() -> None:
-    role, *arguments = sys.argv[1:]
-    peer = Peer(role)
-    said = f"typehash={STRING_HASH};"
-    if role == "talk":
-        talk(peer, qos(said), *arguments)
-    elif role == "talk_exclusive":
-        talk(peer, qos(said) + Qos(Policy.Ownership.Exclusive))
-    elif role == "listen_with_deadline":
-        deadline = Qos(Policy.Deadline(duration(milliseconds=100)))
-        listen(peer, qos(said) + deadline, *arguments)
-    elif role == "talk_best_effort":
-        talk(peer, qos(said, reliable=False))
-    elif role == "talk_other_hash":
-        talk(peer, qos(f"typehash=RIHS01_{'0' * 64};"))
-    elif role == "talk_humble":
-        talk(peer, qos(), humble=True)
-    elif role == "latch":
-        latch(peer)
-    elif role == "strange":
-        strange(peer, RawStrange(bytes.fromhex("00010000 01000000 02000000")))
-    elif role == "strange_typed":
-        strange(peer, Strange(1, 2))
-    elif role == "listen":
-        listen(peer, qos(said), *arguments)
-    elif role == "listen_latched":
-        listen(peer, qos(said, latched=True, depth=1), *arguments)
-    elif role == "joints":
-        joints(peer, int(arguments[0]), float(arguments[1]))
-    elif role == "images":
-        images(peer, int(arguments[0]), float(arguments[1]))
-    elif role == "hear_streams":
-        hear_streams(peer)
-    elif role == "serve_sum":
-        serve_sum(peer, as_fast_dds=False)
-    elif role == "serve_sum_fast_dds":
-        serve_sum(peer, as_fast_dds=True)
-    elif role == "ask_sum":
-        ask_sum(peer, int(arguments[0]))
-    elif role == "ask_sum_fast_dds":
-        ask_sum(peer, int(arguments[0]), as_fast_dds=True)
-    elif role == "have_parameters":
-        have_parameters(peer)
-    elif role == "ask_parameters":
-        ask_parameters(peer, *arguments)
-    elif role == "count_up":
-        count_up(peer, deaf="deaf" in arguments)
-    elif role == "act":
-        act(peer, arguments[0], int(arguments[1]), arguments[2] if arguments[2:] else "")
-    elif role == "hear":
-        hear(peer)
-    elif role == "know_humans":
-        know_humans(peer, arguments)
-    elif role == "watch":
-        watch(peer)
-    else:
-        sys.exit(f"no role {role!r}")
-
+SAID = f"typehash={STRING_HASH};"
+DEADLINE = Qos(Policy.Deadline(duration(milliseconds=100)))
+STRANGE = bytes.fromhex("00010000 01000000 02000000")
+ROLES: dict[str, Callable[..., None]] = {
+    "talk": lambda peer, *words: talk(peer, qos(SAID), *words),
+    "talk_exclusive": lambda peer: talk(peer, qos(SAID) + Qos(Policy.Ownership.Exclusive)),
+    "talk_best_effort": lambda peer: talk(peer, qos(SAID, reliable=False)),
+    "talk_other_hash": lambda peer: talk(peer, qos(f"typehash=RIHS01_{'0' * 64};")),
+    "talk_humble": lambda peer: talk(peer, qos(), humble=True),
+    "latch": latch,
+    "strange": lambda peer: strange(peer, RawStrange(STRANGE)),
+    "strange_typed": lambda peer: strange(peer, Strange(1, 2)),
+    "listen": lambda peer, *topic: listen(peer, qos(SAID), *topic),
+    "listen_latched": lambda peer, *topic: listen(peer, qos(SAID, latched=True, depth=1), *topic),
+    "listen_with_deadline": lambda peer, *topic: listen(peer, qos(SAID) + DEADLINE, *topic),
+    "joints": lambda peer, count, rate_hz: joints(peer, int(count), float(rate_hz)),
+    "images": lambda peer, count, rate_hz: images(peer, int(count), float(rate_hz)),
+    "hear_streams": hear_streams,
+    "serve_sum": lambda peer: serve_sum(peer, as_fast_dds=False),
+    "serve_sum_fast_dds": lambda peer: serve_sum(peer, as_fast_dds=True),
+    "ask_sum": lambda peer, count: ask_sum(peer, int(count)),
+    "ask_sum_fast_dds": lambda peer, count: ask_sum(peer, int(count), as_fast_dds=True),
+    "have_parameters": have_parameters,
+    "ask_parameters": ask_parameters,
+    "count_up": lambda peer, *deaf: count_up(peer, deaf="deaf" in deaf),
+    "act": lambda peer, action, order, *then: act(peer, action, int(order), *then),
+    "hear": hear,
+    "know_humans": lambda peer, *wanted: know_humans(peer, wanted),
+    "watch": watch,
+}
 
 if __name__ == "__main__":
-    main()
+    ROLES[sys.argv[1]](Peer(sys.argv[1]), *sys.argv[2:])

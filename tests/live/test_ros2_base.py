@@ -29,17 +29,13 @@ from vertebra.testing.ports import free_tcp_port
 from vertebra_ros2.adapter import serve
 from vertebra_ros2.settings import Ros2Settings
 
+from .ros2_lab import ON_LOOPBACK, ROOT
+
 pytestmark = pytest.mark.live
 
-PEER = Path(__file__).with_name("ros2_base_peer.py")
-ROUTES = Path(__file__).parents[2] / "deploy/ros2/routes.yaml"
+PEER = "tests.live.ros2_base_peer"
+ROUTES = ROOT / "deploy/ros2/routes.yaml"
 DOMAINS = itertools.cycle(range(60, 70))
-ON_LOOPBACK = (
-    '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery>"
-    "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers>"
-    "</Discovery></Domain></CycloneDDS>"
-)
 SIMULATOR = """
 import asyncio
 from vertebra.bus import MemoryBus, MemoryNetwork
@@ -112,7 +108,7 @@ class Lab:
         return json.loads(reply.payload)
 
     async def peer(self, role: str) -> Process:
-        peer = Process(await start(self, str(PEER), role))
+        peer = Process(await start(self, "-m", PEER, role))
         following = asyncio.create_task(peer.follow())
         self.stack.push_async_callback(end, peer.process, following)
         await eventually(lambda: ["ready"] in peer.lines, timeout_s=10)
@@ -123,7 +119,7 @@ async def start(lab: Lab | None, *command: str, **environment: str) -> asyncio.s
     if lab is not None:
         environment["ROS_DOMAIN_ID"] = str(lab.domain_id)
     return await asyncio.create_subprocess_exec(
-        sys.executable, *command,
+        sys.executable, *command, cwd=ROOT,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
         env={**os.environ, "CYCLONEDDS_URI": ON_LOOPBACK, **environment},
     )  # fmt: skip

@@ -27,7 +27,7 @@ from vertebra.testing.bus_suite import eventually
 from vertebra.testing.ports import free_tcp_port
 from vertebra_ros2.settings import Ros2Settings
 
-from .ros2_lab import DOMAINS, ON_LOOPBACK, PEER, Lab, Peer, adapter, drain, first, peer
+from .ros2_lab import DOMAINS, ON_LOOPBACK, PEER, ROOT, Lab, Peer, adapter, drain, first, peer
 
 pytestmark = pytest.mark.live
 
@@ -216,7 +216,13 @@ async def test_the_other_adapter_takes_over_from_one_that_is_killed(tmp_path: Pa
 
         async def start(*words: str, **variables: str) -> Process:
             process = await asyncio.create_subprocess_exec(
-                sys.executable, *words, env=environment | variables, stdin=PIPE, stdout=DEVNULL
+                sys.executable,
+                "-m",
+                *words,
+                cwd=ROOT,
+                env=environment | variables,
+                stdin=PIPE,
+                stdout=DEVNULL,
             )
             stack.push_async_callback(killed, process)
             return process
@@ -228,11 +234,11 @@ async def test_the_other_adapter_takes_over_from_one_that_is_killed(tmp_path: Pa
             bus.subscribe("ros2/chatter", Delivery.queue(5000)), CodecRegistry(), Message
         )
         async with bus.presence("@vertebra/ros2/turns/**") as claims, asyncio.timeout(20):
-            first_one = await start("-m", "vertebra_ros2", VERTEBRA_INSTANCE="1")
+            first_one = await start("vertebra_ros2", VERTEBRA_INSTANCE="1")
             await anext(claims)
-            await start("-m", "vertebra_ros2", VERTEBRA_INSTANCE="2", VERTEBRA_ROS2_NODE="two")
+            await start("vertebra_ros2", VERTEBRA_INSTANCE="2", VERTEBRA_ROS2_NODE="two")
             await anext(claims)
-        await start(str(PEER), "talk")
+        await start(PEER, "talk")
         said = await numbers(reader, 50)
         assert said == list(range(said[0], said[0] + 50))
         await killed(first_one)

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import pytest
 
-from .ros2_lab import PEER
+from .ros2_lab import PEER, ROOT
 
 pytestmark = pytest.mark.live
 
@@ -87,13 +87,13 @@ class Cable:
     async def robot(self, *role: str) -> Process:
         """Run a ROS node on the robot."""
         return await self._run(
-            self._robot, str(PEER), *role,
+            self._robot, PEER, *role,
             ROS_DOMAIN_ID=DOMAIN, CYCLONEDDS_URI=URI.format(peer=LAB_ADDRESS),
         )  # fmt: skip
 
     async def lab(self, *arguments: str, **variables: str) -> Process:
         """Run a program of the fleet in the lab."""
-        return await self._run(self._lab, "-m", *arguments, **variables)
+        return await self._run(self._lab, *arguments, **variables)
 
     async def _run(self, namespace: str, *arguments: str, **variables: str) -> Process:
         environment = {
@@ -102,7 +102,7 @@ class Cable:
             **variables,
         }
         process = await asyncio.create_subprocess_exec(
-            "ip", "netns", "exec", namespace, sys.executable, *arguments,
+            "ip", "netns", "exec", namespace, sys.executable, "-m", *arguments, cwd=ROOT,
             env=environment, stdin=PIPE, stdout=PIPE, stderr=DEVNULL,
         )  # fmt: skip
         self._running.append(process)

@@ -33,7 +33,7 @@ from .test_ros2_actions import counter
 
 pytestmark = pytest.mark.live
 
-PROGRAM = Path(__file__).with_name("rmw_zenoh_peer.py")
+PROGRAM = "tests.live.rmw_zenoh_peer"
 DOMAINS = itertools.cycle(random.sample(range(30, 40), 10))
 STRING = (
     "std_msgs::msg::dds_::String_",

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from .ros2_lab import ON_LOOPBACK, PEER
+from .ros2_lab import ON_LOOPBACK, PEER, ROOT
 
 pytestmark = pytest.mark.live
 
@@ -28,7 +28,7 @@ def environment() -> Environment:
 @contextmanager
 def peer(environment: Environment, *role: str) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
-        [sys.executable, str(PEER), *role], env=environment, text=True,
+        [sys.executable, "-m", PEER, *role], cwd=ROOT, env=environment, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     )  # fmt: skip
     assert process.stdout is not None

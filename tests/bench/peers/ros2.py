@@ -24,7 +24,8 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from tests.live.ros2_peer import Header, Image, JointState, Raw, Time, qos
+from tests.live.ros2_peer import qos
+from tests.live.ros2_types import Header, Image, JointState, Raw, Time
 from vertebra.bus import Delivery, ZenohBus, zenoh_bus
 from vertebra.codec import CodecRegistry
 from vertebra.messages import JointState as Joints
