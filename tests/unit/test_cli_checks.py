@@ -7,6 +7,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,15 @@ def test_a_camera_that_may_not_be_opened_is_a_warning(
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may open every file
     finding = checks.check_cameras(tmp_path)
     assert (finding.level, "group video" in finding.remedy) == ("warning", True)
+
+
+def test_services_of_one_name_do_not_take_each_others_heartbeat(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VERTEBRA_HEARTBEAT_DIR", str(tmp_path))
+    with ThreadPoolExecutor(8) as services:
+        list(services.map(heartbeat.beat, ["ros2"] * 500))
+    assert [file.name for file in tmp_path.iterdir()] == ["vertebra-ros2.heartbeat"]
 
 
 def test_heartbeats_of_running_services(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Final
@@ -27,7 +28,8 @@ def heartbeat_path(service: str) -> Path:
 def beat(service: str, problem: str = "") -> None:
     """Say that `service` is alive and either works or has a `problem`."""
     path = heartbeat_path(service)
-    draft = path.with_suffix(".draft")
+    writer = f"{os.getpid()}-{threading.get_ident()}"  # two of one name may run on a machine
+    draft = path.with_suffix(f".{writer}.draft")
     draft.write_text(problem or _GOOD, encoding="utf-8")
     draft.replace(path)
 
