@@ -85,11 +85,14 @@ def reference(types: Types, name: str, record: dict[str, Any], order: str = "<")
         if kind in LETTERS:
             align(struct.calcsize(LETTERS[kind]))
             out.extend(struct.pack(order + LETTERS[kind], value))
-        elif kind in ("string", "wstring"):
-            form = "utf-16-le" if order == "<" else "utf-16-be"
-            data = value.encode() + b"\0" if kind == "string" else value.encode(form)
-            put("uint32", len(data) // (1 if kind == "string" else 2))
+        elif kind == "string":
+            data = value.encode() + b"\0"
+            put("uint32", len(data))
             out.extend(data)
+        elif kind == "wstring":
+            units = [unit for (unit,) in struct.iter_unpack("<H", value.encode("utf-16-le"))]
+            for number in (len(units), *units):
+                put("uint32", number)
         else:
             put_record(kind, value)
 

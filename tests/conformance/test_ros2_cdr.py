@@ -142,18 +142,18 @@ def test_wide_text() -> None:
     types.add_text("lab/msg/Wide", "wstring<=4 text\nuint8 last", "Wide.msg")
     cdr = Cdr(types)
     payload = cdr.encode({"text": "aé😀", "last": 7}, "lab/msg/Wide")
-    assert payload == bytes.fromhex("00010000 04000000 6100 e900 3dd8 00de 07000000")
+    assert payload == bytes.fromhex(
+        "00010000 04000000 61000000 e9000000 3dd80000 00de0000 07000000"
+    )
     assert cdr.decode(payload, "lab/msg/Wide") == {"text": "aé😀", "last": 7}
     with pytest.raises(EncodeError, match="at most 4"):
         cdr.encode({"text": "abcde"}, "lab/msg/Wide")
 
 
-def test_wide_text_as_rmw_cyclonedds_writes_it() -> None:
-    name = "example_interfaces/msg/WString"
-    seen = bytes.fromhex("00010000 04000000 61000000 e9000000 3dd80000 00de0000")
-    assert CDR.decode(seen, name) == {"data": "aé😀"}
+@pytest.mark.parametrize("units", ["00dc0000", "00000100", "ffffffff"])
+def test_wide_text_that_is_none_is_refused(units: str) -> None:
     with pytest.raises(DecodeError, match="is not UTF-16"):
-        CDR.decode(bytes.fromhex("00010000 02000000 00dc0000"), name)
+        CDR.decode(bytes.fromhex(f"00010000 01000000 {units}"), "example_interfaces/msg/WString")
 
 
 def test_bounds_are_held() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +11,6 @@ from typing_extensions import Buffer
 from vertebra.errors import DecodeError, EncodeError
 from vertebra.ros2.cdr.parts import BASES, HEADER_BYTES, Fault
 from vertebra.ros2.cdr.reading import (
-    UNIT_BYTES,
     Read,
     Source,
     array_reader,
@@ -35,7 +33,7 @@ from vertebra.ros2.cdr.writing import (
     text_writer,
 )
 from vertebra.ros2.definitions import Types
-from vertebra.ros2.interface_files import PRIMITIVES, Field
+from vertebra.ros2.interface_files import Field
 
 
 class Cdr:
@@ -57,17 +55,12 @@ class Cdr:
         read = self._reader(type_name)
         view = _checked(payload, type_name)
         try:
-            return read_whole(read, view, UNIT_BYTES[0])
+            return read_whole(read, view)
         except Fault as fault:
-            if self._has_wide_text(type_name):
-                with contextlib.suppress(Fault):
-                    return read_whole(read, view, UNIT_BYTES[1])
             raise DecodeError(fault.told(type_name)) from None
 
     def size(self, payload: Buffer, type_name: str) -> int:
         """Return how many bytes of a payload are the message, whatever follows it.
-
-        With wide text that is all: how long it is nothing but the length of the message tells.
 
         Raises:
             DecodeError: The payload is damaged, or of another type.
@@ -75,21 +68,12 @@ class Cdr:
         """
         read = self._reader(type_name)
         view = _checked(payload, type_name)
-        if self._has_wide_text(type_name):
-            return len(view)
-        source = source_of(view, UNIT_BYTES[0])
+        source = source_of(view)
         try:
             read(source)
         except Fault as fault:
             raise DecodeError(fault.told(type_name)) from None
         return HEADER_BYTES + source.position
-
-    def _has_wide_text(self, type_name: str) -> bool:
-        return type_name == "wstring" or any(
-            self._has_wide_text(field.type)
-            for field in self._types.definition(type_name)
-            if field.type == "wstring" or field.type not in PRIMITIVES
-        )
 
     def encode(self, record: Mapping[str, Any], type_name: str) -> bytes:
         """Return the payload of a record; fields that it does not have are zero or empty.

@@ -10,22 +10,17 @@ from typing import Any, Final
 from vertebra.messages import Array
 from vertebra.ros2.cdr.parts import BASES, HEADER_BYTES, PADDING_BYTES, Fault
 
-UNIT_BYTES: Final = (2, 4)
-"""So long is a unit of wide text: Fast CDR, behind Fast DDS and rmw_zenoh, writes 2 bytes,
-rmw_cyclonedds 4. Both are read, though nothing but the length of a message tells them apart; the
-former is written."""
 _ORDERS: Final[dict[str, Any]] = {"<": "little", ">": "big"}
 
 
 class Source:
     """Bytes that are read, from where."""
 
-    __slots__ = ("order", "position", "unit_bytes", "view")
+    __slots__ = ("order", "position", "view")
 
-    def __init__(self, view: memoryview, order: str, unit_bytes: int) -> None:
+    def __init__(self, view: memoryview, order: str) -> None:
         self.view = view
         self.order = order
-        self.unit_bytes = unit_bytes
         self.position = 0
 
     def take(self, size: int, alignment: int) -> int:
@@ -59,14 +54,14 @@ class Source:
 Read = Callable[[Source], Any]
 
 
-def source_of(payload: memoryview, unit_bytes: int) -> Source:
+def source_of(payload: memoryview) -> Source:
     """Return what is behind the header of a payload."""
-    return Source(payload[HEADER_BYTES:], "<" if payload[1] else ">", unit_bytes)
+    return Source(payload[HEADER_BYTES:], "<" if payload[1] else ">")
 
 
-def read_whole(read: Read, payload: memoryview, unit_bytes: int) -> dict[str, Any]:
+def read_whole(read: Read, payload: memoryview) -> dict[str, Any]:
     """Return the record in a payload; raise `Fault`."""
-    source = source_of(payload, unit_bytes)
+    source = source_of(payload)
     record: dict[str, Any] = read(source)
     source.end()
     return record
@@ -142,16 +137,14 @@ def text_reader(max_text: int) -> Read:
 
 
 def wide_text_reader(max_text: int) -> Read:
-    """Read a length in UTF-16 units and the units, without NUL; see `UNIT_BYTES`."""
+    """Read a length in UTF-16 units and the units, 4 bytes each and without NUL, as all rmw do."""
 
     def read_text(source: Source) -> str:
-        size = source.unit_bytes
-        count = source.count(size)
-        start = source.take(size * count, 1)
+        count = source.count(4)
+        start = source.take(4 * count, 4) if count else source.position
         if max_text and count > max_text:
             raise Fault(f"{count} characters where at most {max_text} may be")
-        letter = "I" if size == struct.calcsize("I") else "H"
-        units = struct.unpack_from(f"{source.order}{count}{letter}", source.view, start)
+        units = struct.unpack_from(f"{source.order}{count}I", source.view, start)
         try:
             return struct.pack(f"<{count}H", *units).decode("utf-16-le")
         except (struct.error, UnicodeDecodeError):

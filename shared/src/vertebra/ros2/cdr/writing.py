@@ -115,15 +115,20 @@ def scalar_writer(base: str) -> Write:
 
 
 def text_writer(max_text: int, *, wide: bool) -> Write:
-    """Write a length and UTF-8 with a NUL, or UTF-16 without."""
+    """Write a length and UTF-8 with a NUL; wide text as units of UTF-16, 4 bytes each."""
 
     def write_text(sink: Sink, value: Any) -> None:
         if not isinstance(value, str):
             raise Fault(f"is text, not {value!r}")
-        data = value.encode("utf-16-le") if wide else value.encode() + b"\0"
-        count = len(data) // 2 if wide else len(data)
-        if max_text and (count if wide else count - 1) > max_text:
-            raise Fault(f"has at most {max_text} characters, not {count}")
+        if wide:
+            units = struct.iter_unpack("<H", value.encode("utf-16-le"))
+            data = b"".join(unit.to_bytes(4, "little") for (unit,) in units)
+            count = characters = len(data) // 4
+        else:
+            data = value.encode() + b"\0"
+            count, characters = len(data), len(data) - 1
+        if max_text and characters > max_text:
+            raise Fault(f"has at most {max_text} characters, not {characters}")
         sink.align(4)
         sink.put(count.to_bytes(4, "little"), 4)
         sink.put(data, len(data))
