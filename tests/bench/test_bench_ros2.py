@@ -33,10 +33,10 @@ ON_LOOPBACK: Final = {
 ROUTES: Final = """
 topics:
   - {ros: /bench/image_in, key: bench/image_in, type: sensor_msgs/msg/Image, direction: outbound,
-     delivery: queue, depth: 1000}
+     delivery: queue, depth: 30}
   - {ros: /bench/joints_in, key: bench/joints_in, type: sensor_msgs/msg/JointState,
      direction: outbound, delivery: queue, depth: 1000}
-  - {ros: /bench/image_out, key: bench/image_out, depth: 1000}
+  - {ros: /bench/image_out, key: bench/image_out, depth: 64}
   - {ros: /bench/joints_out, key: bench/joints_out, depth: 1000}
 """
 SHAPES: Final = {"1 kB": (18, 18, 3), "VGA image": (480, 640, 3)}

@@ -38,6 +38,8 @@ from .peer import STAMP, Arrivals, Stream, follow_orders, main, send_paced
 from .vertebra import WAIT_S
 
 DEPTH = 1000
+IMAGES = 64
+"""DDS keeps so many images at most: it asks a reader every few seconds what it has."""
 RUN = 1
 EFFORTS = struct.Struct("<ddd")
 
@@ -68,7 +70,12 @@ def topic_of(participant: DomainParticipant, stream: Stream) -> Topic[Any]:
 
 
 def reader_of(participant: DomainParticipant, stream: Stream) -> Any:
-    return DataReader(participant, topic_of(participant, stream), qos=qos(depth=DEPTH))
+    settings = qos(depth=depth_of(stream))
+    return DataReader(participant, topic_of(participant, stream), qos=settings)
+
+
+def depth_of(stream: Stream) -> int:
+    return IMAGES if len(stream.shape) == 3 else DEPTH
 
 
 def names(count: int) -> tuple[str, ...]:
@@ -82,7 +89,7 @@ def serialized(sample: Any) -> bytes:
 def send(stream: Stream) -> None:
     participant = DomainParticipant(int(stream.endpoint))
     topic = topic_of(participant, stream)
-    writer = DataWriter(participant, topic, qos=qos(depth=DEPTH))
+    writer = DataWriter(participant, topic, qos=qos(depth=depth_of(stream)))
     header = Header(Time(0, 0), "bench")
     if len(stream.shape) == 3:
         height, width, channels = stream.shape
