@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from vertebra.errors import CodecError, ConfigError
+from vertebra.errors import CodecError, ConfigError, TransportError
 from vertebra.ros2.definitions import Types
 from vertebra.ros2.driver import Participation, Transport
 from vertebra.ros2.drivers import open_driver
@@ -79,6 +79,7 @@ class Adapter:
         self._parameters = ParameterServer(self._kit)
         self._wanted: tuple[AnyRoute, ...] = ()
         self._explicit: dict[AnyRoute, Carried] = {}
+        self._refused: set[AnyRoute] = set()
         self._changed = asyncio.Event()
         transport.on_graph(self._changed.set)
         self._apart_since_s = math.inf
@@ -105,6 +106,9 @@ class Adapter:
             except CodecError as error:
                 raise ConfigError(f"the route of {route.ros}: {error}") from error
         self._wanted = tuple(wanted)
+        for route in self._refused - set(wanted):
+            self._refused.remove(route)
+            self._kit.report(f"route {route.ros}", "")
         works = list(map(self._work, wanted))
         if self._mirror is not None:
             works.append(self._mirror.work)
@@ -126,9 +130,14 @@ class Adapter:
             await self._explicit.pop(route).close()
             self.context.routes.pop(route.ros, None)
         for route in ours:
-            if route in self._explicit:
+            if route in self._explicit or route in self._refused:
                 continue
-            self._explicit[route] = self._make(route)
+            try:
+                self._explicit[route] = self._make(route)
+            except TransportError as error:  # a ROS without this type: the other routes live on
+                self._refused.add(route)
+                self._kit.report(f"route {route.ros}", str(error))
+                continue
             self.context.routes[route.ros] = route.key
             log.info("route %s <-> %s", route.ros, route.key)
 
