@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-LIBRARIES: Final = ("eclipse-zenoh", "msgspec", "numpy", "pyzmq", "wrapyfi")
+LIBRARIES: Final = ("cyclonedds", "eclipse-zenoh", "msgspec", "numpy", "pyzmq", "wrapyfi")
 
 
 @dataclass(frozen=True, slots=True)
