@@ -2,6 +2,7 @@
 
 A driver carries payloads: CDR with its header, nothing decoded. All callbacks come in the event
 loop that opened it, and none of its methods waits for the network unless it is `async`.
+`vertebra.testing.ros2_suite` is what every driver has to pass.
 """
 
 from __future__ import annotations
