@@ -18,7 +18,7 @@ from vertebra.service import MessageReader
 
 from .fleet import ROOT, Fleet
 
-PEER: Final = ROOT / "tests/live/ros2_peer.py"
+PEERS: Final = ROOT / "tests/live"
 WITHIN_S: Final = 30.0
 BACK_WITHIN_S: Final = 10.0
 
@@ -28,8 +28,9 @@ async def ros_node(fleet: Fleet, *role: str) -> AsyncIterator[Process]:
     """Run a node that shares nothing with the fleet but the network and what is installed."""
     process = await asyncio.create_subprocess_exec(
         "docker", "run", "--rm", "--init", "--interactive", "--network", f"{fleet.project}_default",
-        "--volume", f"{PEER}:/peer.py:ro", "--env", "ROS_DOMAIN_ID=0",
-        "vertebra/ros2", "python", "/peer.py", *role,
+        "--volume", f"{PEERS}:/peers/tests/live:ro", "--workdir", "/peers",
+        "--env", "ROS_DOMAIN_ID=0",
+        "vertebra/ros2", "python", "-m", "tests.live.ros2_peer", *role,
         stdin=PIPE, stdout=PIPE,
     )  # fmt: skip
     try:
