@@ -178,10 +178,11 @@ async def test_latched_message_reaches_us_late(network: Network) -> None:
 async def test_latched_message_of_a_late_publisher_reaches_us(network: Network) -> None:
     async with network.lab() as lab:
         reader = lab.read("robot/said", Text)
-        async with network.node("latch"):
-            assert (await first(reader)).message == Text(text="from long ago")
-        async with network.node("latch"):
-            assert (await first(reader)).message == Text(text="from long ago")
+        for _ in range(2):
+            async with network.node("latch"):
+                # Who is found early enough hears live also what is overwritten then.
+                while (await first(reader)).message != Text(text="from long ago"):
+                    pass
 
 
 @pytest.mark.parametrize("release", ["listen", "listen_humble"])
